@@ -1,0 +1,1 @@
+"""Scenes, data sets, training and evaluation of the target detector."""

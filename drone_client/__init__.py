@@ -1,0 +1,1 @@
+"""The onboard client: source -> encode -> link; gate -> target -> guidance -> cbf -> autopilot."""

@@ -1,0 +1,1 @@
+"""The edge service: transport -> mailbox -> decode -> detect -> localise -> reply."""

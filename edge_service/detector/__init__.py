@@ -1,0 +1,1 @@
+"""The detector: an anchor-free net with one box per class, its engine and the weights."""

@@ -1,0 +1,1 @@
+"""What both ends share: messages, codecs, geometry, the stream table, the clock."""
