@@ -71,7 +71,7 @@ class Localisation:
     method: Method
     roll_source: RollSource
     alternative: Pose | None = None
-    """The other fold: the second pose from which one circle looks the same, if circles were seen."""
+    """The other fold: the second pose from which the outer circle looks the same."""
     ambiguous: bool = False
     """Nothing tells the two folds apart; the covariance spans both."""
     range_ellipse_m: float | None = None
