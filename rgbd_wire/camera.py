@@ -202,7 +202,7 @@ def _intrinsics(where: str, raw: dict[str, Any]) -> CameraIntrinsics:
     for side in ("width", "height"):
         if isinstance(raw[side], bool) or not isinstance(raw[side], int):
             raise CameraFileError(f"{where}.{side} must be a whole number, not {raw[side]!r}")
-    numbers = [_number(f"{where}.{k}", raw[k]) for k in ("fx", "fy", "cx", "cy")]
+    fx, fy, cx, cy = (_number(f"{where}.{k}", raw[k]) for k in ("fx", "fy", "cx", "cy"))
     coefficients = raw.get("coefficients", [0.0] * 5)
     if not isinstance(coefficients, list) or len(coefficients) != 5:
         raise CameraFileError(f"{where}.coefficients must be five numbers k1, k2, p1, p2, k3")
@@ -210,7 +210,10 @@ def _intrinsics(where: str, raw: dict[str, Any]) -> CameraIntrinsics:
     return CameraIntrinsics(
         raw["width"],
         raw["height"],
-        *numbers,
+        fx,
+        fy,
+        cx,
+        cy,
         model=raw.get("model", "none"),
         coefficients=(ks[0], ks[1], ks[2], ks[3], ks[4]),
     )

@@ -80,12 +80,12 @@ def rotation_from_vector(rotation_vector: Array) -> Array:
 
 def vector_from_rotation(rotation: Array) -> Array:
     """Rotation vector (3,) [rad], of length at most pi, of a rotation matrix (3, 3)."""
-    w, *v = quaternion_from_rotation(rotation)
-    v = np.asarray(v)
-    sine = float(np.linalg.norm(v))
+    q_wxyz = quaternion_from_rotation(rotation)
+    axis = q_wxyz[1:]
+    sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
-        return 2.0 * v
-    return np.asarray(2.0 * math.atan2(sine, w) / sine * v)
+        return np.asarray(2.0 * axis)
+    return np.asarray(2.0 * math.atan2(sine, q_wxyz[0]) / sine * axis)
 
 
 def slerp(q0_wxyz: Array, q1_wxyz: Array, s: float) -> Array:
