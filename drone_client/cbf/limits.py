@@ -1,0 +1,31 @@
+"""Two functions of the tip's place: how fast it may close in, and how soon h may be used up."""
+
+from __future__ import annotations
+
+import math
+
+from drone_client.cbf.settings import FilterSettings
+from drone_client.cbf.vector import Vec3, norm
+
+
+def closing_limit_mps(x_m: float, touch_mps: float, brake_mps2: float, depth_m: float) -> float:
+    """Largest speed towards the board [m/s] at the distance ``x_m`` from it [m].
+
+    In front of the board, the speed from which braking at ``brake_mps2`` leaves ``touch_mps`` at
+    the touch (``v^2 = v_0^2 + 2 a x``); behind it, linear down to zero at ``depth_m``, which makes
+    ``x >= -depth_m`` a set that the tip cannot leave (docs/cbf.md, section 7).
+    """
+    if x_m >= 0.0:
+        return math.sqrt(touch_mps * touch_mps + 2.0 * brake_mps2 * x_m)
+    return touch_mps * max(0.0, 1.0 + x_m / depth_m)
+
+
+def alpha(p_target: Vec3, settings: FilterSettings) -> float:
+    """Class-K gain [1/s] at the tip ``p_target`` [m]: small near the target, larger far from it.
+
+    ``alpha_near`` up to ``near_m`` from the target, ``alpha_far`` from ``far_m`` on, a smoothstep
+    between them.
+    """
+    s = (norm(p_target) - settings.near_m) / (settings.far_m - settings.near_m)
+    s = min(max(s, 0.0), 1.0)
+    return settings.alpha_near + (settings.alpha_far - settings.alpha_near) * s * s * (3.0 - 2.0 * s)

@@ -1,0 +1,79 @@
+"""The held command checked at the end of its period, not at its start alone (docs/cbf.md, 6)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from drone_client.cbf.variants import Barrier
+from drone_client.cbf.vector import Vec3, between, moved
+
+HALVINGS = 8
+"""Bound of the search; after it the straight retreat, which needs none."""
+ROUNDING_M = 1e-9
+"""Slack for the rounding of h, which is exact in theory where the tip moves along x."""
+
+
+class Hold(NamedTuple):
+    """The barrier over one control period in which the command is held."""
+
+    barrier: Barrier
+    p_target: Vec3
+    """Tip now [m]."""
+    delta_m: float
+    """Error ball now [m]."""
+    delta_next_m: float
+    """Error ball when the period ends [m]."""
+    alpha: float
+    """Class-K gain [1/s]."""
+    period_s: float
+    """Length of the hold [s]; ``alpha period_s <= 1``."""
+
+    def h_next(self, u_target: Vec3) -> float:
+        """Barrier at the end of the period for the tip velocity ``u_target`` [m/s]."""
+        p_next = moved(self.p_target, u_target, self.period_s)
+        return self.barrier.h(p_next, self.delta_next_m)
+
+    def h_required(self, v_max: float) -> float:
+        """What the barrier must be at the end of the period [m].
+
+        ``(1 - alpha T) h``, or where that is out of reach as much as the straight retreat gives.
+        """
+        h_still = self.barrier.h(self.p_target, self.delta_next_m)
+        h_now = self.barrier.h(self.p_target, self.delta_m)
+        decayed = (1.0 - self.alpha * self.period_s) * h_now
+        return min(decayed, h_still + self.period_s * v_max)
+
+    def retreat(self, v_max: float) -> Vec3:
+        """The slowest velocity straight out along +x that meets ``h_required`` [m/s].
+
+        Along x the barrier is linear with slope one, so this is exact, not a guess: zero wherever
+        standing still is enough.
+        """
+        h_still = self.barrier.h(self.p_target, self.delta_next_m)
+        needed = (self.h_required(v_max) - h_still) / self.period_s
+        return min(max(needed, 0.0), v_max), 0.0, 0.0
+
+
+def checked(u_target: Vec3, hold: Hold, v_max: float) -> tuple[Vec3, int]:
+    """The tip velocity that still meets the barrier at the end of the period.
+
+    Halves the distance to the straight retreat until it does, which is plain halving wherever
+    standing still is safe. For ``h < 0`` plain halving would be wrong: it slows the recovery.
+
+    Args:
+        u_target: Tip velocity that the half-space allows [m/s].
+        hold: The period.
+        v_max: Speed limit [m/s].
+
+    Returns:
+        The velocity and the number of halvings, ``HALVINGS`` meaning the retreat itself.
+    """
+    required = hold.h_required(v_max) - ROUNDING_M
+    if hold.h_next(u_target) >= required:
+        return u_target, 0
+    retreat = hold.retreat(v_max)
+    for halvings in range(1, HALVINGS):
+        u_target = between(u_target, retreat, 0.5)
+        if hold.h_next(u_target) >= required:
+            return u_target, halvings
+    return retreat, HALVINGS

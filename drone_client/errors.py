@@ -1,0 +1,32 @@
+"""The errors of ``drone_client``.
+
+::
+
+    ClientError          ends a command with one line that says what, where and what to do
+    ├── SourceError      a recording or camera that cannot give frames
+    ├── LinkError        an address that cannot be one, or nobody there
+    ├── AirframeError    an airframe file that cannot be read
+    └── OutputError      a folder that cannot take the run's files
+"""
+
+from __future__ import annotations
+
+
+class ClientError(Exception):
+    """Root of this package's errors; the command line prints it as one line."""
+
+
+class SourceError(ClientError):
+    """A recording is missing, malformed or holds no frame."""
+
+
+class LinkError(ClientError):
+    """An endpoint is malformed, or no worker answers there."""
+
+
+class AirframeError(ClientError):
+    """An airframe file is missing or malformed."""
+
+
+class OutputError(ClientError):
+    """The run's folder cannot be written."""

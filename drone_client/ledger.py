@@ -1,0 +1,159 @@
+"""The ledger: one JSON line for each captured frame, whatever became of it.
+
+A line is written when the frame's fate is known and flushed at once, so that a killed client
+leaves a ledger whose every line is whole. The frames that nobody answered are in it as well: what
+is missing tells as much as what came.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import Counter
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final, TextIO
+
+from drone_client.errors import OutputError
+
+LEDGER_NAME: Final = "ledger.jsonl"
+EVENTS_NAME: Final = "events.jsonl"
+TICKS_NAME: Final = "ticks.jsonl"
+
+
+class Fate(StrEnum):
+    """What became of a captured frame; exactly one holds for each."""
+
+    ANSWERED = "answered"
+    """A result came; its verdict says whether it could be used."""
+    SUPERSEDED_ON_BOARD = "superseded_on_board"
+    """A newer frame came before this one could be sent."""
+    NO_WORKER = "no_worker"
+    NO_REPLY = "no_reply"
+    INTERRUPTED = "interrupted"
+    """The run ended while it was under way."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameEntry:
+    """What is known of a frame before its fate is."""
+
+    sequence: int
+    name: str
+    t_capture_ns: int
+    """Drone's clock, as t1."""
+    t1_ns: int | None = None
+    worker: str | None = None
+    size_bytes: int | None = None
+
+
+class Ledger:
+    """Writes ``ledger.jsonl``, ``events.jsonl`` and ``ticks.jsonl`` of a run. Thread-safe.
+
+    A disk that fills up in flight costs lines, never the flight: they are counted in
+    ``lost_lines``.
+
+    Raises:
+        OutputError: the folder cannot be made or written at the start.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.lost_lines = 0
+        self.fates: Counter[Fate] = Counter()
+        self._lock = threading.Lock()
+        self._open: dict[int, FrameEntry] = {}
+        self._files: dict[str, TextIO] = {}
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name in (LEDGER_NAME, EVENTS_NAME, TICKS_NAME):
+                self._files[name] = (folder / name).open("w", encoding="utf-8")
+        except OSError as error:
+            self.close()
+            raise OutputError(f"folder {folder}: {error.strerror}") from None
+
+    def captured(self, entry: FrameEntry) -> None:
+        """A frame exists; it will get one line."""
+        with self._lock:
+            self._open[entry.sequence] = entry
+
+    def sent(self, sequence: int, t1_ns: int, worker: str, size_bytes: int) -> None:
+        """It was handed to the link."""
+        with self._lock:
+            if (entry := self._open.get(sequence)) is not None:
+                self._open[sequence] = replace(
+                    entry, t1_ns=t1_ns, worker=worker, size_bytes=size_bytes
+                )
+
+    def close_frame(self, sequence: int, fate: Fate, details: dict[str, Any]) -> bool:
+        """Write the frame's line; False if it has one already."""
+        with self._lock:
+            entry = self._open.pop(sequence, None)
+            if entry is None:
+                return False
+            self._write_frame(entry, fate, details)
+            return True
+
+    def close_unanswered(self, sent_before_ns: int, details: dict[str, Any]) -> int:
+        """Give up on frames sent before a time; returns how many."""
+        with self._lock:
+            late = [
+                e for e in self._open.values() if e.t1_ns is not None and e.t1_ns < sent_before_ns
+            ]
+            for entry in late:
+                del self._open[entry.sequence]
+                self._write_frame(entry, Fate.NO_REPLY, details)
+            return len(late)
+
+    @property
+    def under_way(self) -> int:
+        """Frames without a line yet."""
+        with self._lock:
+            return len(self._open)
+
+    def event(self, t_ns: int, event: str, **details: Any) -> None:
+        """Something that happened to the run, not to a frame."""
+        with self._lock:
+            self._write(EVENTS_NAME, {"t_ns": t_ns, "event": event, **details})
+
+    def tick(self, line: dict[str, Any]) -> None:
+        """One control tick."""
+        with self._lock:
+            self._write(TICKS_NAME, line)
+
+    def close(self) -> None:
+        """Give every open frame its line, and close the files."""
+        with self._lock:
+            for entry in self._open.values():
+                self._write_frame(entry, Fate.INTERRUPTED, {})
+            self._open.clear()
+            for file in self._files.values():
+                try:
+                    file.close()
+                except OSError:
+                    self.lost_lines += 1
+            self._files.clear()
+
+    def _write_frame(self, entry: FrameEntry, fate: Fate, details: dict[str, Any]) -> None:
+        self.fates[fate] += 1
+        line = {
+            "sequence": entry.sequence,
+            "name": entry.name,
+            "fate": fate.value,
+            "worker": entry.worker,
+            "bytes": entry.size_bytes,
+            "t_capture_ns": entry.t_capture_ns,
+            "t1_ns": entry.t1_ns,
+        }
+        self._write(LEDGER_NAME, line | details)
+
+    def _write(self, name: str, line: dict[str, Any]) -> None:
+        file = self._files.get(name)
+        if file is None:
+            return
+        try:
+            file.write(json.dumps(line, allow_nan=False) + "\n")
+            if name != TICKS_NAME:
+                file.flush()
+        except (OSError, ValueError):
+            self.lost_lines += 1

@@ -1,0 +1,155 @@
+"""The way down: message -> checks -> gate -> target in the world.
+
+Runs on the link's thread. Nothing that comes from the network raises out of here: what is not a
+valid message is counted under its reason.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drone_client.airframe import Airframe
+from drone_client.gate import GateSettings, Judgement, ResultStamps, SentFrame
+from drone_client.pose_buffer import PoseBuffer
+from drone_client.sent_frames import SentFrames
+from drone_client.target import TargetEstimate, Update, measure, update
+from rgbd_wire.envelope import Kind, unseal
+from rgbd_wire.errors import DecodeError, Reject
+from rgbd_wire.geometry import Pose
+from rgbd_wire.messages import (
+    Ack,
+    Result,
+    TargetPose,
+    decode_ack,
+    decode_result,
+    pose_of,
+    unpack_covariance,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reception:
+    """A result that came in, the gate's verdict on it, and what it did to the target."""
+
+    result: Result
+    t4_ns: int
+    """Drone's clock."""
+    judgement: Judgement
+    update: Update | None
+    """None: the gate refused it, or it has no target."""
+    world_from_target: Pose | None
+    """The measurement in the world, as composed on board."""
+
+
+class Receiver:
+    """Takes messages from the link; holds the target estimate and the drone's own past poses."""
+
+    def __init__(
+        self,
+        drone: str,
+        boot_id: int,
+        gate: GateSettings,
+        airframe: Airframe,
+        on_heard: Callable[[int, str], None],
+        on_result: Callable[[Reception], None],
+    ) -> None:
+        self.rejects: Counter[Reject] = Counter()
+        self.foreign = 0
+        """Valid messages for another drone or another start of this one."""
+        self._drone = drone
+        self._boot_id = boot_id
+        self._body_from_camera = airframe.body_from_camera
+        self._on_heard = on_heard
+        self._on_result = on_result
+        self._lock = threading.Lock()
+        self._sent = SentFrames(gate)
+        self._poses = PoseBuffer()
+        self._estimate: TargetEstimate | None = None
+
+    @property
+    def estimate(self) -> TargetEstimate | None:
+        """Where the target is believed to be; None: never seen."""
+        with self._lock:
+            return self._estimate
+
+    def add_pose(self, t_ns: int, world_from_body: Pose) -> None:
+        """The drone's own pose at a time on its clock."""
+        with self._lock:
+            self._poses.add(t_ns, world_from_body)
+
+    def pose_at(self, t_ns: int) -> Pose | None:
+        """``world_from_body`` at a time; None if the drone cannot know."""
+        with self._lock:
+            return self._poses.at(t_ns)
+
+    def sending(self, frame: SentFrame) -> None:
+        """A frame is about to leave."""
+        with self._lock:
+            self._sent.add(frame)
+
+    def on_message(self, message: bytes, t4_ns: int) -> None:
+        """Take a message that was complete at ``t4_ns``, drone's clock."""
+        try:
+            kind, body = unseal(message, Kind.RESULT, Kind.ACK)
+            if kind is Kind.ACK:
+                self._on_ack(decode_ack(body))
+            else:
+                self._on_answer(decode_result(body), t4_ns)
+        except DecodeError as error:
+            with self._lock:
+                self.rejects[error.reason] += 1
+
+    def _is_ours(self, message: Ack | Result) -> bool:
+        ours = (message.drone, message.boot_id) == (self._drone, self._boot_id)
+        if not ours:
+            with self._lock:
+                self.foreign += 1
+        return ours
+
+    def _on_ack(self, ack: Ack) -> None:
+        if not self._is_ours(ack):
+            return
+        with self._lock:
+            known = self._sent.acknowledge(ack.sequence, ack.worker, ack.worker_boot_id)
+        if known:
+            self._on_heard(ack.sequence, ack.worker)
+
+    def _on_answer(self, result: Result, t4_ns: int) -> None:
+        if not self._is_ours(result):
+            return
+        with self._lock:
+            judgement = self._sent.judge(
+                result.sequence,
+                ResultStamps(
+                    worker=result.worker,
+                    worker_boot_id=result.worker_boot_id,
+                    t_capture_ns=result.t_capture_ns,
+                    t1_ns=result.t1_ns,
+                    t2_ns=result.t2_ns,
+                    t3_ns=result.t3_ns,
+                    t4_ns=t4_ns,
+                ),
+            )
+            done, world_from_target = None, None
+            if judgement.accepted and result.target is not None:
+                done, world_from_target = self._fuse(result.target, result.t_capture_ns)
+        self._on_heard(result.sequence, result.worker)
+        self._on_result(Reception(result, t4_ns, judgement, done, world_from_target))
+
+    def _fuse(self, target: TargetPose, t_capture_ns: int) -> tuple[Update, Pose | None]:
+        world_from_body = self._poses.at(t_capture_ns)
+        if world_from_body is None:
+            return Update.NO_POSE, None
+        measurement = measure(
+            world_from_body @ self._body_from_camera,
+            pose_of(target.camera_from_target),
+            unpack_covariance(target.covariance),
+            t_capture_ns,
+        )
+        if target.ambiguous:
+            return Update.AMBIGUOUS, measurement.world_from_target
+        self._estimate, done = update(self._estimate, measurement)
+        return done, measurement.world_from_target

@@ -1,0 +1,43 @@
+"""Where frames and the drone's own pose come from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_wire.camera import RgbdCamera
+from rgbd_wire.geometry import Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capture:
+    """One exposure as a source gives it, on the source's own time line."""
+
+    t_source_ns: int
+    """Middle of the exposure on the source's time line, whose zero means nothing."""
+    color_rgb: NDArray[np.uint8]  # (H, W, 3)
+    depth_units: NDArray[np.uint16] | None  # (h, w)
+    name: str
+    """What people call it: a file name, a camera's serial and number."""
+
+
+class RgbdSource(Protocol):
+    """Gives captures in order, and the camera's pose where it is known."""
+
+    camera: RgbdCamera
+
+    def __len__(self) -> int:
+        """How many captures there are."""
+        ...
+
+    def captures(self) -> Iterator[Capture]:
+        """The captures, oldest first."""
+        ...
+
+    def world_from_camera(self, t_source_ns: int) -> Pose | None:
+        """Pose of the colour camera at a time on the source's time line; None: not known."""
+        ...

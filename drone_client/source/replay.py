@@ -1,0 +1,176 @@
+"""A recording in the TUM RGB-D layout: ``rgb.txt``, ``depth.txt``, ``groundtruth.txt``.
+
+https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats: each line of the first two is
+``timestamp filename``, of the last ``timestamp tx ty tz qx qy qz qw``, the pose of the colour
+camera in the world. ``groundtruth.txt`` may be missing: then the drone does not know its pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from drone_client.errors import SourceError
+from drone_client.pose_buffer import PoseBuffer
+from drone_client.source import Capture
+from rgbd_wire.camera import RgbdCamera
+from rgbd_wire.errors import GeometryError
+from rgbd_wire.geometry import Pose
+
+MAX_PAIR_DISTANCE_NS: Final = 20_000_000
+"""Colour and depth further apart in time than this are not of one exposure (TUM's associate.py)."""
+MAX_LINES: Final = 1_000_000
+MAX_LIST_BYTES: Final = 128 * 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    t_source_ns: int
+    color: Path
+    depth: Path | None
+
+
+class ReplaySource:
+    """A recording on disk; pictures are read one at a time.
+
+    Raises:
+        SourceError: the folder, a list or its first picture is missing or malformed; one line
+            that says which file, which line and what was expected.
+    """
+
+    def __init__(self, folder: Path, camera: RgbdCamera) -> None:
+        self.camera = camera
+        if not folder.is_dir():
+            raise SourceError(f"recording {folder}: no such folder")
+        color = _read_list(folder, "rgb.txt")
+        if not color:
+            raise SourceError(f"{folder / 'rgb.txt'}: lists no picture")
+        depth = _read_list(folder, "depth.txt") if (folder / "depth.txt").exists() else []
+        self._pairs = _associate(color, depth)
+        self._trajectory = _read_trajectory(folder / "groundtruth.txt")
+        self._load(self._pairs[0])  # a wrong camera file shows here and not in mid-flight
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def captures(self) -> Iterator[Capture]:
+        """The captures, oldest first."""
+        return map(self._load, self._pairs)
+
+    def world_from_camera(self, t_source_ns: int) -> Pose | None:
+        """Interpolated ground truth; None outside it."""
+        return self._trajectory.at(t_source_ns)
+
+    def _load(self, pair: _Pair) -> Capture:
+        color = cv2.imread(str(pair.color), cv2.IMREAD_COLOR_RGB)
+        if color is None:
+            raise SourceError(f"{pair.color}: no picture that can be read")
+        want = self.camera.color
+        if color.shape[:2] != (want.height, want.width):
+            raise SourceError(
+                f"{pair.color} is {color.shape[1]}x{color.shape[0]}, "
+                f"the camera file says {want.width}x{want.height}"
+            )
+        depth = None
+        if pair.depth is not None:
+            depth = cv2.imread(str(pair.depth), cv2.IMREAD_UNCHANGED)
+            if depth is None:
+                raise SourceError(f"{pair.depth}: no picture that can be read")
+            if depth.dtype != np.uint16 or depth.ndim != 2:
+                raise SourceError(f"{pair.depth}: depth must be a 16-bit grey PNG")
+            want = self.camera.depth
+            if depth.shape != (want.height, want.width):
+                raise SourceError(
+                    f"{pair.depth} is {depth.shape[1]}x{depth.shape[0]}, "
+                    f"the camera file says {want.width}x{want.height} for depth"
+                )
+        return Capture(pair.t_source_ns, color, depth, pair.color.name)
+
+
+def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Fields of each line that is neither empty nor a comment, with its number."""
+    try:
+        if path.stat().st_size > MAX_LIST_BYTES:
+            raise SourceError(f"{path}: over {MAX_LIST_BYTES} bytes")
+        with path.open(encoding="utf-8") as file:
+            for number, line in enumerate(file, 1):
+                if number > MAX_LINES:
+                    raise SourceError(f"{path}: over {MAX_LINES} lines")
+                fields = line.split()
+                if fields and not fields[0].startswith("#"):
+                    yield number, fields
+    except OSError as error:
+        raise SourceError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise SourceError(f"{path}: not a text file") from None
+
+
+def _time_ns(where: str, text: str) -> int:
+    """Seconds as text to integer nanoseconds, without a float's rounding on the way."""
+    whole, _, fraction = text.partition(".")
+    digits = (fraction + "000000000")[:9]
+    if not (whole.isascii() and whole.isdigit() and digits.isascii() and digits.isdigit()):
+        raise SourceError(f"{where}: {text!r} is not a time in seconds")
+    if len(whole) > 10:
+        raise SourceError(f"{where}: {text!r} is not a time that ends before the year 2286")
+    return int(whole) * 1_000_000_000 + int(digits)
+
+
+def _read_list(folder: Path, name: str) -> list[tuple[int, Path]]:
+    path = folder / name
+    entries: list[tuple[int, Path]] = []
+    for number, fields in _lines(path):
+        where = f"{path} line {number}"
+        if len(fields) != 2:
+            raise SourceError(f"{where}: expected 'timestamp filename', got {len(fields)} fields")
+        t_ns = _time_ns(where, fields[0])
+        if entries and t_ns <= entries[-1][0]:
+            raise SourceError(f"{where}: time does not go forward")
+        file = folder / fields[1]
+        if not file.resolve().is_relative_to(folder.resolve()):
+            raise SourceError(f"{where}: {fields[1]} lies outside the recording")
+        entries.append((t_ns, file))
+    return entries
+
+
+def _associate(color: list[tuple[int, Path]], depth: list[tuple[int, Path]]) -> list[_Pair]:
+    """Each colour picture with the depth picture nearest in time, by stamp and never by number."""
+    pairs = []
+    nearest = 0
+    for t_ns, file in color:
+        while nearest + 1 < len(depth) and abs(depth[nearest + 1][0] - t_ns) <= abs(
+            depth[nearest][0] - t_ns
+        ):
+            nearest += 1
+        close = bool(depth) and abs(depth[nearest][0] - t_ns) <= MAX_PAIR_DISTANCE_NS
+        pairs.append(_Pair(t_ns, file, depth[nearest][1] if close else None))
+    return pairs
+
+
+def _read_trajectory(path: Path) -> PoseBuffer:
+    poses: list[tuple[int, Pose]] = []
+    if path.exists():
+        for number, fields in _lines(path):
+            where = f"{path} line {number}"
+            if len(fields) != 8:
+                raise SourceError(
+                    f"{where}: expected 'timestamp tx ty tz qx qy qz qw', got {len(fields)} fields"
+                )
+            t_ns = _time_ns(where, fields[0])
+            try:
+                tx, ty, tz, qx, qy, qz, qw = map(float, fields[1:])
+                pose = Pose(np.array([tx, ty, tz]), np.array([qw, qx, qy, qz]))
+            except (ValueError, GeometryError) as error:
+                raise SourceError(f"{where}: {error}") from None
+            if poses and t_ns <= poses[-1][0]:
+                raise SourceError(f"{where}: time does not go forward")
+            poses.append((t_ns, pose))
+    buffer = PoseBuffer(capacity=max(1, len(poses)))
+    for t_ns, pose in poses:
+        buffer.add(t_ns, pose)
+    return buffer

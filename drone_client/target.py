@@ -1,0 +1,123 @@
+"""The target in the world: accepted measurements, composed at capture time, gated and fused.
+
+State: ``world_from_target`` with the covariance of a perturbation from the left in world axes,
+translation first, then rotation vector. The target stands still; what drifts is the drone's own
+odometry, and that is the process noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from rgbd_wire.geometry import (
+    Array,
+    Pose,
+    quaternion_from_rotation,
+    quaternion_product,
+    rotation_from_vector,
+    vector_from_rotation,
+)
+
+GATE_CHI2 = 27.86
+"""Squared Mahalanobis distance, six degrees of freedom, 99.99 %."""
+OUTLIERS_BEFORE_RESET = 4
+"""So many measurements in a row that disagree with the estimate mean that it is the estimate that
+is wrong: it starts again from the newest."""
+MIN_SIGMA_M = 0.002
+MIN_SIGMA_RAD = 0.005
+"""Floor of a measurement's standard deviation: calibration errors do not average out."""
+DRIFT_MPS = 0.01
+DRIFT_RADPS = 0.005
+"""How fast the odometry's world moves under the target."""
+
+
+class Update(StrEnum):
+    """What a measurement did to the estimate."""
+
+    FIRST = "first"
+    FUSED = "fused"
+    OUTLIER = "outlier"
+    RESET = "reset"
+    AMBIGUOUS = "ambiguous"
+    """Two folds fit: not used."""
+    NO_POSE = "no_pose"
+    """The drone does not know where it was at the exposure: not used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetEstimate:
+    """Where the target is believed to be."""
+
+    world_from_target: Pose
+    covariance: Array  # (6, 6)
+    """World axes [m^2, m rad, rad^2]."""
+    t_capture_ns: int
+    """Exposure of the newest measurement in it, drone's clock: the age of what is known."""
+    outliers: int = 0
+    """Measurements in a row that were not fused."""
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the position along its worst axis [m]."""
+        return float(np.sqrt(max(0.0, np.linalg.eigvalsh(self.covariance[:3, :3])[-1])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetMeasurement:
+    """One accepted result in the world."""
+
+    world_from_target: Pose
+    covariance: Array  # (6, 6), world axes
+    t_capture_ns: int
+
+
+def measure(
+    world_from_camera: Pose, camera_from_target: Pose, covariance_camera: Array, t_capture_ns: int
+) -> TargetMeasurement:
+    """Compose a result with the camera's pose *at its exposure*.
+
+    A left perturbation in camera axes is one in world axes after rotation by the camera's
+    attitude: ``R_wc exp(d) R_ct = exp(R_wc d) R_wc R_ct``.
+    """
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = world_from_camera.rotation
+    covariance = turn @ covariance_camera @ turn.T
+    covariance[:3, :3] += MIN_SIGMA_M**2 * np.eye(3)
+    covariance[3:, 3:] += MIN_SIGMA_RAD**2 * np.eye(3)
+    return TargetMeasurement(world_from_camera @ camera_from_target, covariance, t_capture_ns)
+
+
+def update(
+    estimate: TargetEstimate | None, measurement: TargetMeasurement
+) -> tuple[TargetEstimate, Update]:
+    """Fuse a measurement into the estimate: a Kalman step on the pose, behind a gate."""
+    m = measurement
+    if estimate is None:
+        return TargetEstimate(m.world_from_target, m.covariance, m.t_capture_ns), Update.FIRST
+
+    dt_s = max(0, m.t_capture_ns - estimate.t_capture_ns) * 1e-9
+    drift = np.repeat([DRIFT_MPS, DRIFT_RADPS], 3) * dt_s
+    prior = estimate.covariance + np.diag(drift**2)
+    at, seen = estimate.world_from_target, m.world_from_target
+    innovation = np.concatenate(
+        [seen.translation - at.translation, vector_from_rotation(seen.rotation @ at.rotation.T)]
+    )
+    spread = prior + m.covariance
+    distance2 = float(innovation @ np.linalg.solve(spread, innovation))
+    if not distance2 <= GATE_CHI2:
+        if estimate.outliers + 1 >= OUTLIERS_BEFORE_RESET:
+            return TargetEstimate(m.world_from_target, m.covariance, m.t_capture_ns), Update.RESET
+        held = TargetEstimate(at, estimate.covariance, estimate.t_capture_ns, estimate.outliers + 1)
+        return held, Update.OUTLIER
+
+    gain = np.linalg.solve(spread, prior).T  # (6, 6), prior @ inv(spread)
+    step = gain @ innovation
+    turn = quaternion_from_rotation(rotation_from_vector(step[3:]))
+    pose = Pose(at.translation + step[:3], quaternion_product(turn, at.q_wxyz))
+    keep = np.eye(6) - gain
+    # Joseph's form keeps the covariance symmetric and positive whatever the rounding does.
+    posterior = keep @ prior @ keep.T + gain @ m.covariance @ gain.T
+    return TargetEstimate(pose, posterior, m.t_capture_ns), Update.FUSED
