@@ -84,7 +84,7 @@ def decode_depth(
     codes = np.empty((height, width), np.uint16)
     try:
         imagecodecs.jpegxl_decode(bytes(data), out=codes, numthreads=1)
-    except (imagecodecs.JpegxlError, ValueError) as error:
+    except (RuntimeError, ValueError) as error:  # the codec raises bare RuntimeErrors too
         raise DecodeError(Reject.BAD_DEPTH, f"JPEG XL of {width}x{height}: {error}") from None
     if table is DepthTable.IDENTITY:
         return codes
