@@ -8,7 +8,7 @@
     5       1      kind
     6       2      reserved, 0
     8       4      length of the body
-    12      4      CRC-32 of the body
+    12      4      CRC-32 of the 12 bytes before it and the body
     16      -      body
 """
 
@@ -22,8 +22,9 @@ from rgbd_wire.errors import DecodeError, Reject
 
 MAGIC = b"AERC"
 VERSION = 1
-_PREFIX = struct.Struct("<4sBBHII")
-PREFIX_BYTES = _PREFIX.size
+_HEAD = struct.Struct("<4sBBHI")
+_CHECKSUM = struct.Struct("<I")
+PREFIX_BYTES = _HEAD.size + _CHECKSUM.size
 
 
 class Kind(IntEnum):
@@ -35,16 +36,16 @@ class Kind(IntEnum):
 
 
 MAX_BODY_BYTES = {Kind.FRAME: 8 * 1024 * 1024, Kind.RESULT: 16 * 1024, Kind.ACK: 256}
-"""A 640x480 frame weighs about 0.1 MB; the bound is what the largest allowed picture may need."""
+"""A 640x480 frame weighs about 0.1 MB; the bound fits eight-megapixel pictures of real scenes."""
 
 
 def seal(kind: Kind, *parts: bytes) -> bytes:
     """Put the parts of a body into one envelope."""
-    checksum = 0
+    head = _HEAD.pack(MAGIC, VERSION, kind, 0, sum(map(len, parts)))
+    checksum = zlib.crc32(head)
     for part in parts:
         checksum = zlib.crc32(part, checksum)
-    length = sum(map(len, parts))
-    return b"".join([_PREFIX.pack(MAGIC, VERSION, kind, 0, length, checksum), *parts])
+    return b"".join([head, _CHECKSUM.pack(checksum), *parts])
 
 
 def unseal(data: bytes | memoryview, *kinds: Kind) -> tuple[Kind, memoryview]:
@@ -52,18 +53,20 @@ def unseal(data: bytes | memoryview, *kinds: Kind) -> tuple[Kind, memoryview]:
 
     Raises:
         DecodeError: TRUNCATED, WRONG_MAGIC, WRONG_VERSION, WRONG_KIND (not one of ``kinds``),
-            OVERSIZED, WRONG_SIZE or CHECKSUM.
+            BAD_HEADER (a reserved bit is set), OVERSIZED, WRONG_SIZE or CHECKSUM.
     """
     view = memoryview(data)
     if len(view) < PREFIX_BYTES:
         raise DecodeError(Reject.TRUNCATED, f"{len(view)} bytes, an envelope has {PREFIX_BYTES}")
-    magic, version, number, _reserved, length, checksum = _PREFIX.unpack_from(view)
+    magic, version, number, reserved, length = _HEAD.unpack_from(view)
     if magic != MAGIC:
         raise DecodeError(Reject.WRONG_MAGIC, f"{magic!r}, expected {MAGIC!r}")
     if version != VERSION:
         raise DecodeError(Reject.WRONG_VERSION, f"version {version}, this side speaks {VERSION}")
     if number not in kinds:
         raise DecodeError(Reject.WRONG_KIND, f"kind {number}, expected {[k.name for k in kinds]}")
+    if reserved:
+        raise DecodeError(Reject.BAD_HEADER, f"reserved bytes hold {reserved}, expected 0")
     kind = Kind(number)
     body = view[PREFIX_BYTES:]
     if length > MAX_BODY_BYTES[kind]:
@@ -72,6 +75,7 @@ def unseal(data: bytes | memoryview, *kinds: Kind) -> tuple[Kind, memoryview]:
         raise DecodeError(Reject.TRUNCATED, f"{len(body)} of {length} bytes")
     if len(body) > length:
         raise DecodeError(Reject.WRONG_SIZE, f"{len(body)} bytes after a length of {length}")
-    if zlib.crc32(body) != checksum:
+    (checksum,) = _CHECKSUM.unpack_from(view, _HEAD.size)
+    if zlib.crc32(body, zlib.crc32(view[: _HEAD.size])) != checksum:
         raise DecodeError(Reject.CHECKSUM, "CRC-32 does not match")
     return kind, body
