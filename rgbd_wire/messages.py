@@ -6,7 +6,6 @@ decoding; that numbers are finite and quaternions of unit length, when they beco
 
 from __future__ import annotations
 
-import math
 from enum import StrEnum
 from typing import Annotated, TypeAlias, TypeVar
 
@@ -27,7 +26,12 @@ Nanoseconds: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Reason: TypeAlias = Annotated[str, Meta(max_length=120)]
 PoseNumbers: TypeAlias = tuple[float, float, float, float, float, float, float]
 """tx, ty, tz [m], qw, qx, qy, qz."""
+MAX_POSE_NUMBER = 1e6
+"""No pose lies further out [m]: what both ends compute with it stays finite."""
 COVARIANCE_NUMBERS = 21
+MAX_COVARIANCE_NUMBER = 1e12
+Pixel: TypeAlias = Annotated[float, Meta(ge=-1e5, le=1e5)]
+Score: TypeAlias = Annotated[float, Meta(ge=0, le=1)]
 
 
 class _Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -107,11 +111,11 @@ class LevelBox(_Message, frozen=True):
     """One detected level of the target, pixels of the colour picture."""
 
     level: Annotated[str, Meta(max_length=16)]
-    x0: float
-    y0: float
-    x1: float
-    y1: float
-    score: float
+    x0: Pixel
+    y0: Pixel
+    x1: Pixel
+    y1: Pixel
+    score: Score
 
 
 class TargetPose(_Message, frozen=True):
@@ -130,7 +134,7 @@ class TargetPose(_Message, frozen=True):
     """Both folds fit; ``alternative`` is the other one."""
     alternative: PoseNumbers | None
     """``camera_from_target`` of the other fold of the two conic poses."""
-    score: float
+    score: Score
     boxes: Annotated[tuple[LevelBox, ...], Meta(max_length=8)]
 
 
@@ -219,8 +223,8 @@ def decode_result(body: memoryview) -> Result:
         for numbers in (t.camera_from_target, t.world_from_target, t.alternative):
             if numbers is not None:
                 pose_of(numbers)
-        if not all(map(math.isfinite, t.covariance)):
-            raise DecodeError(Reject.BAD_POSE, "the covariance is not finite")
+        if not all(abs(n) <= MAX_COVARIANCE_NUMBER for n in t.covariance):
+            raise DecodeError(Reject.BAD_POSE, f"covariance not within {MAX_COVARIANCE_NUMBER:g}")
         covariance = unpack_covariance(t.covariance)
         if np.linalg.eigvalsh(covariance)[0] < -1e-9 * max(1e-12, float(np.trace(covariance))):
             raise DecodeError(Reject.BAD_POSE, "the covariance is not positive semi-definite")
@@ -238,8 +242,10 @@ def pose_of(numbers: PoseNumbers) -> Pose:
     """The pose of its seven numbers.
 
     Raises:
-        DecodeError: BAD_POSE, not finite or not a unit quaternion.
+        DecodeError: BAD_POSE, not finite, past ``MAX_POSE_NUMBER`` or not a unit quaternion.
     """
+    if not all(abs(n) <= MAX_POSE_NUMBER for n in numbers):  # false for NaN
+        raise DecodeError(Reject.BAD_POSE, f"{numbers} is not within {MAX_POSE_NUMBER:g}")
     try:
         return Pose(np.array(numbers[:3]), np.array(numbers[3:]))
     except GeometryError as error:
