@@ -16,6 +16,8 @@ from rgbd_wire.geometry import Pose
 
 MAX_SIDE_PX = 4096
 MAX_PIXELS = 8_388_608
+MAX_RIG_M = 10.0
+"""How far apart two cameras that are bolted together may be."""
 
 DistortionModel: TypeAlias = Literal["none", "brown_conrady", "inverse_brown_conrady"]
 """RealSense's names: the model maps ideal to seen points, its inverse seen to ideal points."""
@@ -84,9 +86,12 @@ class RgbdCamera:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.depth_scale_m) and 1e-5 <= self.depth_scale_m <= 0.1):
-            raise GeometryError(f"depth scale {self.depth_scale_m} m is not in [1e-5, 0.1]")
+            raise GeometryError(f"depth_scale_m = {self.depth_scale_m} is not in [1e-5, 0.1]")
         if not (math.isfinite(self.depth_lattice_m) and 0 <= self.depth_lattice_m <= 1e5):
-            raise GeometryError(f"depth lattice {self.depth_lattice_m} m is not in [0, 1e5]")
+            raise GeometryError(f"depth_lattice_m = {self.depth_lattice_m} is not in [0, 1e5]")
+        apart_m = float(np.abs(self.color_from_depth.translation).max())
+        if apart_m > MAX_RIG_M:
+            raise GeometryError(f"color_from_depth spans {apart_m:g} m, at most {MAX_RIG_M:g}")
 
     @property
     def aligned(self) -> bool:
@@ -120,6 +125,7 @@ _INTRINSICS_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 _INTRINSICS_OPTIONAL = ("model", "coefficients")
 _CAMERA_KEYS = ("color", "depth", "depth_scale_m", "depth_lattice_m", "color_from_depth")
 MAX_CAMERA_JSON_BYTES = 65_536
+_MAX_NUMBER = 1e9
 
 
 def camera_from_json(text: str | bytes) -> RgbdCamera:
@@ -145,11 +151,7 @@ def camera_from_json(text: str | bytes) -> RgbdCamera:
             raise CameraFileError("depth and color_from_depth belong together: give both or none")
         pose = Pose.identity()
         if "color_from_depth" in raw:
-            c = raw["color_from_depth"]
-            _check_keys("color_from_depth", c, ("translation_m", "q_wxyz"))
-            pose = Pose(
-                np.asarray(c["translation_m"], dtype=float), np.asarray(c["q_wxyz"], dtype=float)
-            )
+            pose = _pose("color_from_depth", raw["color_from_depth"])
         return RgbdCamera(
             color,
             depth,
@@ -157,7 +159,7 @@ def camera_from_json(text: str | bytes) -> RgbdCamera:
             pose,
             _number("depth_lattice_m", raw.get("depth_lattice_m", 0.0)),
         )
-    except (GeometryError, TypeError, ValueError, OverflowError) as error:
+    except GeometryError as error:
         raise CameraFileError(str(error)) from None
 
 
@@ -187,33 +189,67 @@ def _check_keys(
         raise CameraFileError(f"{where} lacks {', '.join(missing)}")
     if unknown := [k for k in raw if k not in (known or required)]:
         raise CameraFileError(
-            f"{where} has unknown {', '.join(unknown)}; known: {', '.join(known or required)}"
+            f"{where} has unknown {_shown(unknown[0])}; known: {', '.join(known or required)}"
         )
 
 
-def _number(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise CameraFileError(f"{name} must be a number, not {value!r}")
+def _shown(value: object) -> str:
+    """A value from a stranger's file, short and on one line."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _number(name: str, value: Any) -> float:
+    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (plain and abs(value) <= _MAX_NUMBER):  # false for NaN too
+        raise CameraFileError(f"{name} must be a finite number, not {_shown(value)}")
     return float(value)
+
+
+def _numbers(name: str, value: object, count: int) -> list[float]:
+    if not isinstance(value, list) or len(value) != count:
+        raise CameraFileError(f"{name} must be a list of {count} numbers, not {_shown(value)}")
+    return [_number(name, v) for v in value]
+
+
+def _side(name: str, value: object) -> int:
+    if isinstance(value, int) and not isinstance(value, bool) and 0 < value <= MAX_SIDE_PX:
+        return value
+    raise CameraFileError(
+        f"{name} must be a whole number from 1 to {MAX_SIDE_PX}, not {_shown(value)}"
+    )
+
+
+def _pose(where: str, raw: dict[str, Any]) -> Pose:
+    _check_keys(where, raw, ("translation_m", "q_wxyz"))
+    t = _numbers(f"{where}.translation_m", raw["translation_m"], 3)
+    q = _numbers(f"{where}.q_wxyz", raw["q_wxyz"], 4)
+    try:
+        return Pose(np.array(t), np.array(q))
+    except GeometryError as error:
+        raise CameraFileError(f"{where}: {error}") from None
 
 
 def _intrinsics(where: str, raw: dict[str, Any]) -> CameraIntrinsics:
     _check_keys(where, raw, _INTRINSICS_KEYS, _INTRINSICS_KEYS + _INTRINSICS_OPTIONAL)
-    for side in ("width", "height"):
-        if isinstance(raw[side], bool) or not isinstance(raw[side], int):
-            raise CameraFileError(f"{where}.{side} must be a whole number, not {raw[side]!r}")
     fx, fy, cx, cy = (_number(f"{where}.{k}", raw[k]) for k in ("fx", "fy", "cx", "cy"))
-    coefficients = raw.get("coefficients", [0.0] * 5)
-    if not isinstance(coefficients, list) or len(coefficients) != 5:
-        raise CameraFileError(f"{where}.coefficients must be five numbers k1, k2, p1, p2, k3")
-    ks = [_number(f"{where}.coefficients", k) for k in coefficients]
-    return CameraIntrinsics(
-        raw["width"],
-        raw["height"],
-        fx,
-        fy,
-        cx,
-        cy,
-        model=raw.get("model", "none"),
-        coefficients=(ks[0], ks[1], ks[2], ks[3], ks[4]),
-    )
+    ks = _numbers(f"{where}.coefficients", raw.get("coefficients", [0.0] * 5), 5)
+    model = raw.get("model", "none")
+    if model not in get_args(DistortionModel):
+        raise CameraFileError(
+            f"{where}.model must be one of {', '.join(get_args(DistortionModel))}, "
+            f"not {_shown(model)}"
+        )
+    try:
+        return CameraIntrinsics(
+            _side(f"{where}.width", raw["width"]),
+            _side(f"{where}.height", raw["height"]),
+            fx,
+            fy,
+            cx,
+            cy,
+            model=model,
+            coefficients=(ks[0], ks[1], ks[2], ks[3], ks[4]),
+        )
+    except GeometryError as error:
+        raise CameraFileError(f"{where}: {error}") from None
