@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_wire.errors import DecodeError, Reject
+from rgbd_wire.jxl_header import check_plain_picture
 
 MAX_DEPTH_UNITS = 65535
 
@@ -81,6 +82,7 @@ def decode_depth(
     Raises:
         DecodeError: BAD_DEPTH, not a 16-bit picture of that size, or a rank that does not exist.
     """
+    check_plain_picture(data)
     codes = np.empty((height, width), np.uint16)
     try:
         imagecodecs.jpegxl_decode(bytes(data), out=codes, numthreads=1)
