@@ -1,0 +1,104 @@
+"""``python -m detector_training``: scenes, recording, training."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+from detector_training.backgrounds import Split, advice, find_backgrounds, of_split
+from detector_training.errors import TrainingError
+from detector_training.scenes import DatasetRequest, write_dataset
+from target_pose.errors import TargetError
+from target_pose.target import DEFAULT_TARGET, load_target
+
+app = typer.Typer(
+    help="Make pictures of the target, train the detector on them, measure it.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+console = Console(stderr=True)
+
+Out = Annotated[Path, typer.Argument(help="Folder to write to; made when missing.")]
+Seed = Annotated[int, typer.Option(help="The same seed gives the same bytes.")]
+Backgrounds = Annotated[
+    list[Path] | None,
+    typer.Option(help="Folder of your own photographs, with its sub-folders; repeatable."),
+]
+PackageRoot = Annotated[
+    Path,
+    typer.Option(
+        help="Where Debian's photo packages lie: / when installed, or the folder into which you "
+        "unpacked them without being root (apt-get download P; dpkg -x P*.deb FOLDER)."
+    ),
+]
+
+
+@app.command()
+def scenes(
+    out: Out,
+    count: Annotated[int, typer.Option(help="Number of pictures.")] = 6000,
+    seed: Seed = 1,
+    split: Annotated[
+        Split, typer.Option(help="train and val never share a background picture.")
+    ] = Split.TRAIN,
+    backgrounds: Backgrounds = None,
+    package_root: PackageRoot = Path("/"),
+    target: Annotated[
+        str, typer.Option(help="Packaged target, or the path of your own .toml.")
+    ] = DEFAULT_TARGET,
+    jobs: Annotated[int, typer.Option(help="Processes; one a core is right.")] = os.cpu_count()
+    or 1,
+    overwrite: Annotated[bool, typer.Option(help="Replace the data set in OUT.")] = False,
+) -> None:
+    """Render labelled 640x480 pictures of the target, and look-alikes without it.
+
+    OUT gets images/NNNNNN.jpg, labels.jsonl (one JSON object a picture), dataset.json (seed,
+    command, backgrounds) and contact_sheet.png, which is worth a look.
+
+    Example: python -m detector_training scenes runs/train --count 6000 --seed 1 --split train
+    """
+    found = find_backgrounds(backgrounds or (), package_root)
+    if line := advice(found):
+        console.print(line, style="yellow", soft_wrap=True)
+    load_target(target)
+    request = DatasetRequest(count, seed, split, target, of_split(found, split))
+    columns = (BarColumn(), MofNCompleteColumn(), "pictures", TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("scenes", total=count)
+        description = write_dataset(
+            out,
+            request,
+            command_line(),
+            jobs,
+            overwrite,
+            lambda done: progress.update(task, completed=done),
+        )
+    kinds = ", ".join(f"{n} {k}" for k, n in description["kinds"].items())
+    console.print(f"{out}: {kinds}; look at {out / 'contact_sheet.png'}", soft_wrap=True)
+
+
+def command_line() -> str:
+    """How this process was started, as one would type it."""
+    return shlex.join(["python", "-m", "detector_training", *sys.argv[1:]])
+
+
+def main() -> None:
+    """Run a sub-command; what the user got wrong is one line and exit status 2."""
+    if find_spec("detector_training.train_cli"):
+        # here, not above: the processes that render import this module and need no torch
+        from detector_training.train_cli import register
+
+        register(app)
+    try:
+        app()
+    except (TrainingError, TargetError) as error:
+        console.print(f"error: {error}", style="red", soft_wrap=True, highlight=False)
+        raise SystemExit(2) from None

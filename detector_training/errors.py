@@ -1,0 +1,27 @@
+"""The errors of ``detector_training``.
+
+::
+
+    TrainingError
+    ├── BackgroundsError   a folder of background pictures that cannot be used
+    ├── SceneError         a request for scenes that cannot be met
+    └── DatasetError       a data set folder that is missing or malformed
+"""
+
+from __future__ import annotations
+
+
+class TrainingError(Exception):
+    """Root of this package's errors."""
+
+
+class BackgroundsError(TrainingError):
+    """A folder of background pictures is missing or holds none that can be read."""
+
+
+class SceneError(TrainingError):
+    """Scenes were asked for with numbers that make none."""
+
+
+class DatasetError(TrainingError):
+    """A data set folder is missing, malformed, or in the way of a new one."""

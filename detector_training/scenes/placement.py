@@ -1,0 +1,103 @@
+"""Where the camera may see the target from: near and far, tilted, rolled, cut by the border."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detector_training.scenes.projection import is_in_front
+from rgbd_wire.camera import CameraIntrinsics
+from rgbd_wire.geometry import Pose, rotation_from_vector
+
+WIDTH_PX = 640
+HEIGHT_PX = 480
+
+
+def random_camera(rng: np.random.Generator) -> CameraIntrinsics:
+    """A 640x480 camera with the focal lengths of common RGB-D sensors."""
+    f = float(rng.uniform(370, 700))
+    cx = (WIDTH_PX - 1) / 2 + float(rng.normal(0, 6))
+    cy = (HEIGHT_PX - 1) / 2 + float(rng.normal(0, 6))
+    return CameraIntrinsics(WIDTH_PX, HEIGHT_PX, f, f * float(rng.normal(1, 0.003)), cx, cy)
+
+
+def facing(
+    centre_camera: NDArray[np.float64], tilt_rad: float, tilt_about_rad: float, roll_rad: float
+) -> Pose:
+    """``camera_from_target`` of a board at ``centre_camera`` (3,) [m].
+
+    Args:
+        centre_camera: centre of the board.
+        tilt_rad: angle between the board's normal and the line of sight.
+        tilt_about_rad: direction of the axis, in the picture, about which it is tilted.
+        roll_rad: turn in the picture; 0 is upright.
+    """
+    sight = centre_camera / np.linalg.norm(centre_camera)
+    down = np.array([0.0, 1.0, 0.0])
+    right = np.cross(down, sight)
+    right /= np.linalg.norm(right)
+    axis = math.cos(tilt_about_rad) * right + math.sin(tilt_about_rad) * np.cross(sight, right)
+    normal = rotation_from_vector(tilt_rad * axis) @ -sight
+    up = rotation_from_vector(roll_rad * sight) @ -down
+    up -= (up @ normal) * normal
+    up /= np.linalg.norm(up)
+    rotation = np.column_stack([normal, np.cross(up, normal), up])
+    return Pose.from_rotation(rotation, centre_camera)
+
+
+def random_placement(
+    rng: np.random.Generator,
+    camera: CameraIntrinsics,
+    side_m: float,
+    shape_m: float,
+    size_px: tuple[float, float],
+) -> Pose:
+    """``camera_from_target`` of a board, all of it in front of the camera.
+
+    Args:
+        rng: source of chance.
+        camera: who looks.
+        side_m: side of the board.
+        shape_m: the diameter that is to appear ...
+        size_px: ... between these sizes, with uniform logarithm.
+    """
+    while True:
+        size = math.exp(rng.uniform(math.log(size_px[0]), math.log(size_px[1])))
+        centre = _centre_px(rng, camera, size * side_m / shape_m)
+        distance = camera.fx * shape_m / size
+        ray = np.array([(centre[0] - camera.cx) / camera.fx, (centre[1] - camera.cy) / camera.fy, 1])
+        tilt = abs(rng.normal(0, math.radians(28)))
+        if rng.random() < 0.25:
+            tilt = rng.uniform(0, math.radians(70))
+        # mostly a camera that looks from the side, or from below and above
+        roll = rng.normal(0, math.radians(9)) if rng.random() < 0.9 else rng.uniform(-math.pi, math.pi)
+        pose = facing(
+            ray * distance, min(tilt, math.radians(70)), rng.uniform(0, 2 * math.pi), roll
+        )
+        if is_in_front(pose, side_m):
+            return pose
+
+
+def _centre_px(
+    rng: np.random.Generator, camera: CameraIntrinsics, board_px: float
+) -> tuple[float, float]:
+    w, h = camera.width, camera.height
+    if rng.random() < 0.15:  # cut by the border
+        u, v = rng.uniform(0, w), rng.uniform(0, h)
+        offset = rng.uniform(-0.45, 0.45) * board_px
+        match int(rng.integers(4)):
+            case 0:
+                u = -offset
+            case 1:
+                u = w + offset
+            case 2:
+                v = -offset
+            case _:
+                v = h + offset
+        return u, v
+    margin = min(board_px / 2, 0.3 * w)
+    u = rng.uniform(margin, w - margin)
+    v = rng.uniform(min(margin, 0.3 * h), h - min(margin, 0.3 * h))
+    return float(u), float(v)
