@@ -36,6 +36,25 @@ class Verdict(StrEnum):
     OUT_OF_ORDER = "out_of_order"
     """Captured no later than what was accepted last."""
 
+    @property
+    def settles_frame(self) -> bool:
+        """The result is the frame's own answer, used or not.
+
+        False where somebody else could have made it up: the true answer may still come.
+        """
+        return self not in _FOREIGN
+
+
+_FOREIGN = frozenset(
+    {
+        Verdict.NEVER_SENT,
+        Verdict.DUPLICATE,
+        Verdict.ECHO_MISMATCH,
+        Verdict.NOT_ACKNOWLEDGED,
+        Verdict.WRONG_WORKER,
+    }
+)
+
 
 @dataclass(frozen=True, slots=True)
 class GateSettings:

@@ -61,6 +61,8 @@ class Ledger:
     def __init__(self, folder: Path) -> None:
         self.lost_lines = 0
         self.fates: Counter[Fate] = Counter()
+        self.settled = threading.Event()
+        """Set whenever a frame's fate becomes known; lockstep playback waits for it."""
         self._lock = threading.Lock()
         self._open: dict[int, FrameEntry] = {}
         self._files: dict[str, TextIO] = {}
@@ -146,6 +148,7 @@ class Ledger:
             "t1_ns": entry.t1_ns,
         }
         self._write(LEDGER_NAME, line | details)
+        self.settled.set()
 
     def _write(self, name: str, line: dict[str, Any]) -> None:
         file = self._files.get(name)

@@ -10,7 +10,6 @@ from drone_client.gate import (
     Judgement,
     ResultStamps,
     SentFrame,
-    Verdict,
     judge,
 )
 
@@ -49,20 +48,8 @@ class SentFrames:
         """Judge a result. The first one that is truly this frame's answer closes the frame."""
         sent = self._frames.get(sequence)
         judgement = judge(stamps, sent, self._last_accepted_capture_ns, self._settings)
-        if sent is not None and judgement.verdict not in _NOT_AN_ANSWER:
+        if sent is not None and judgement.verdict.settles_frame:
             self._frames[sequence] = replace(sent, answered=True)
         if judgement.accepted:
             self._last_accepted_capture_ns = stamps.t_capture_ns
         return judgement
-
-
-_NOT_AN_ANSWER = frozenset(
-    {
-        Verdict.NEVER_SENT,
-        Verdict.DUPLICATE,
-        Verdict.ECHO_MISMATCH,
-        Verdict.NOT_ACKNOWLEDGED,
-        Verdict.WRONG_WORKER,
-    }
-)
-"""Verdicts on results that somebody else could have made up: the true answer may still come."""

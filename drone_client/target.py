@@ -7,7 +7,7 @@ odometry, and that is the process noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -56,6 +56,8 @@ class TargetEstimate:
     """World axes [m^2, m rad, rad^2]."""
     t_capture_ns: int
     """Exposure of the newest measurement in it, drone's clock: the age of what is known."""
+    range_m: float
+    """From the camera to the target in that measurement."""
     outliers: int = 0
     """Measurements in a row that were not fused."""
 
@@ -72,6 +74,8 @@ class TargetMeasurement:
     world_from_target: Pose
     covariance: Array  # (6, 6), world axes
     t_capture_ns: int
+    range_m: float
+    """From the camera to the target."""
 
 
 def measure(
@@ -87,7 +91,10 @@ def measure(
     covariance = turn @ covariance_camera @ turn.T
     covariance[:3, :3] += MIN_SIGMA_M**2 * np.eye(3)
     covariance[3:, 3:] += MIN_SIGMA_RAD**2 * np.eye(3)
-    return TargetMeasurement(world_from_camera @ camera_from_target, covariance, t_capture_ns)
+    range_m = float(np.linalg.norm(camera_from_target.translation))
+    return TargetMeasurement(
+        world_from_camera @ camera_from_target, covariance, t_capture_ns, range_m
+    )
 
 
 def update(
@@ -95,8 +102,9 @@ def update(
 ) -> tuple[TargetEstimate, Update]:
     """Fuse a measurement into the estimate: a Kalman step on the pose, behind a gate."""
     m = measurement
+    fresh = TargetEstimate(m.world_from_target, m.covariance, m.t_capture_ns, m.range_m)
     if estimate is None:
-        return TargetEstimate(m.world_from_target, m.covariance, m.t_capture_ns), Update.FIRST
+        return fresh, Update.FIRST
 
     dt_s = max(0, m.t_capture_ns - estimate.t_capture_ns) * 1e-9
     drift = np.repeat([DRIFT_MPS, DRIFT_RADPS], 3) * dt_s
@@ -109,9 +117,8 @@ def update(
     distance2 = float(innovation @ np.linalg.solve(spread, innovation))
     if not distance2 <= GATE_CHI2:
         if estimate.outliers + 1 >= OUTLIERS_BEFORE_RESET:
-            return TargetEstimate(m.world_from_target, m.covariance, m.t_capture_ns), Update.RESET
-        held = TargetEstimate(at, estimate.covariance, estimate.t_capture_ns, estimate.outliers + 1)
-        return held, Update.OUTLIER
+            return fresh, Update.RESET
+        return replace(estimate, outliers=estimate.outliers + 1), Update.OUTLIER
 
     gain = np.linalg.solve(spread, prior).T  # (6, 6), prior @ inv(spread)
     step = gain @ innovation
@@ -120,4 +127,4 @@ def update(
     keep = np.eye(6) - gain
     # Joseph's form keeps the covariance symmetric and positive whatever the rounding does.
     posterior = keep @ prior @ keep.T + gain @ m.covariance @ gain.T
-    return TargetEstimate(pose, posterior, m.t_capture_ns), Update.FUSED
+    return TargetEstimate(pose, posterior, m.t_capture_ns, m.range_m), Update.FUSED

@@ -1,0 +1,221 @@
+"""The ``drone-client`` command."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from drone_client.airframe import Airframe, load_airframe
+from drone_client.errors import ClientError
+from drone_client.flight import Tally
+from drone_client.ledger import LEDGER_NAME
+from drone_client.link.zenoh import ZenohLink
+from drone_client.plot import PLOT_NAME
+from drone_client.replay import SUMMARY_NAME, ReplayOptions
+from drone_client.replay import replay as run_replay
+from drone_client.settings import load_settings
+from drone_client.snap import snap as ask
+from drone_client.source.replay import ReplaySource
+from drone_client.truth import load_truth
+from rgbd_wire.camera import load_camera
+from rgbd_wire.clock import MonotonicClock
+from rgbd_wire.errors import WireError
+
+app = typer.Typer(
+    help="The onboard side: frames up, fresh target poses down, safe velocity commands out.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+_errors = Console(stderr=True)
+
+
+@app.callback()
+def _root() -> None:
+    """Every setting can also come from the environment as DRONE_NAME, DRONE_TAU_MAX_MS, ..."""
+
+
+@app.command(no_args_is_help=True)
+def replay(
+    folder: Annotated[
+        Path,
+        typer.Argument(help="recording in TUM RGB-D layout: rgb.txt, depth.txt, groundtruth.txt"),
+    ],
+    camera: Annotated[
+        Path | None,
+        typer.Option(help="camera JSON; without it FOLDER/camera.json", show_default=False),
+    ] = None,
+    connect: Annotated[
+        str | None, typer.Option(help="workers' endpoints, such as tcp/192.0.2.7:7447")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="folder for ledger, summary and plot")] = Path("RUN"),
+    name: Annotated[str | None, typer.Option(help="this drone's name")] = None,
+    tau_max_ms: Annotated[
+        float | None, typer.Option(help="results with d1+d2 above this are refused [ms]")
+    ] = None,
+    age_max_ms: Annotated[
+        float | None, typer.Option(help="results older than this on arrival are refused [ms]")
+    ] = None,
+    window: Annotated[int | None, typer.Option(help="frames in the network at most")] = None,
+    jpeg_quality: Annotated[int | None, typer.Option(help="of the colour picture")] = None,
+    wait_for_worker_s: Annotated[
+        float | None, typer.Option(help="how long to wait for a first worker [s]")
+    ] = None,
+    airframe: Annotated[
+        Path | None, typer.Option(help="TOML with body_from_camera and body_from_tip")
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="JSON with the true poses: errors go into the summary")
+    ] = None,
+    as_fast_as_possible: Annotated[
+        bool, typer.Option(help="each frame after the last one's answer; no frame is left out")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="print the summary as JSON")] = False,
+    plot: Annotated[bool, typer.Option(help="draw RUN/run.png")] = True,
+) -> None:
+    """Play a recording through the whole chain, as if it were flown now.
+
+    Frames go to a worker, results come back through the delay gate, the target feeds guidance and
+    the safety filter, and an autopilot in memory takes the commands. RUN/ledger.jsonl gets one
+    line for every frame.
+
+    Example: drone-client replay examples/recordings/rendered-approach --connect tcp/127.0.0.1:7447
+    """
+    settings = load_settings(
+        name=name,
+        connect=connect,
+        tau_max_ms=tau_max_ms,
+        age_max_ms=age_max_ms,
+        window=window,
+        jpeg_quality=jpeg_quality,
+        wait_for_worker_s=wait_for_worker_s,
+    )
+    source = ReplaySource(folder, load_camera(camera or folder / "camera.json"))
+    body = Airframe() if airframe is None else load_airframe(airframe)
+    entries = () if truth is None else load_truth(truth)
+    options = ReplayOptions(out, as_fast_as_possible, entries, plot)
+    clock = MonotonicClock()
+    with _progress() as progress:
+        task = progress.add_task("waiting for a worker", total=len(source), counts="")
+
+        def on_progress(done: int, tally: Tally) -> None:
+            accepted = tally.verdicts["accepted"]
+            refused = sum(tally.verdicts.values()) - accepted
+            counts = f"{accepted} accepted, {refused} refused, {tally.outcomes['target']} targets"
+            progress.update(task, completed=done, description=folder.name, counts=counts)
+
+        link = ZenohLink(settings.name, settings.endpoints, clock)
+        summary = run_replay(source, body, settings, options, link, clock, on_progress)
+    if as_json:
+        print(json.dumps(summary, indent=2))
+    else:
+        _print_summary(summary, options)
+    if summary["interrupted"]:
+        raise typer.Exit(130)
+
+
+@app.command(no_args_is_help=True)
+def snap(
+    color: Annotated[Path, typer.Argument(help="colour picture, JPEG or PNG")],
+    depth: Annotated[Path | None, typer.Argument(help="depth picture, 16-bit PNG")] = None,
+    camera: Annotated[Path, typer.Option(help="camera JSON")] = Path("camera.json"),
+    url: Annotated[str, typer.Option(help="the service's HTTP address")] = "http://127.0.0.1:8080",
+    timeout_s: Annotated[float, typer.Option(min=0.1, max=600, help="give up after this")] = 10.0,
+    as_json: Annotated[bool, typer.Option("--json", help="print the answer as JSON")] = False,
+) -> None:
+    """Ask a service over HTTP where the target is in one picture.
+
+    Example: drone-client snap color.jpg depth.png --camera camera.json
+    """
+    answer = ask(url, color, depth, camera, timeout_s)
+    if as_json:
+        print(json.dumps(answer, indent=2))
+        return
+    table = Table("", "", title=color.name, show_header=False)
+    for key, value in answer.items():
+        table.add_row(key, json.dumps(value) if isinstance(value, dict | list) else str(value))
+    Console().print(table)
+
+
+def main() -> None:
+    """Run the command; a user's mistake ends in one line and exit code 2, never a traceback."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        app(standalone_mode=True)
+    except (ClientError, WireError) as error:
+        _errors.print(f"drone-client: {error}", style="red", markup=False, soft_wrap=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    """SIGTERM ends a run as Ctrl-C does: with a whole ledger."""
+    raise KeyboardInterrupt
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[counts]}"),
+        TimeElapsedColumn(),
+        console=_errors,
+        disable=not _errors.is_terminal,
+    )
+
+
+def _print_summary(summary: dict[str, Any], options: ReplayOptions) -> None:
+    def counts(name: str) -> str:
+        return ", ".join(f"{n} {key}" for key, n in summary[name].items()) or "none"
+
+    def times(name: str) -> str:
+        s = summary[name]
+        return (
+            "none" if s is None else f"p50 {s['p50']:.1f}  p95 {s['p95']:.1f}  max {s['max']:.1f}"
+        )
+
+    rows = {
+        "frames": f"{summary['frames']}: {counts('fates')}",
+        "gate": counts("verdicts"),
+        "outcomes": counts("outcomes"),
+        "workers": counts("workers"),
+        "target": counts("updates"),
+        "d1 + d2 [ms]": f"{times('network_delay_ms')}  (tau_max {summary['tau_max_ms']:g})",
+        "age [ms]": f"{times('age_ms')}  (age_max {summary['age_max_ms']:g})",
+        "service [ms]": times("service_ms"),
+        "control ticks": f"{summary['ticks']}: {counts('statuses')}",
+        "knowledge": counts("freshness"),
+    }
+    if (t := summary.get("truth")) is not None:
+        error_mm = t["position_error_mm"]
+        rows["against truth"] = (
+            f"found {t['found_of_these']} of {t['frames_fully_visible']} in full view, "
+            f"{t['ghosts_in_these']} ghosts in {t['frames_without_target']} without it"
+            + ("" if error_mm is None else f", median error {error_mm['p50']:.1f} mm")
+        )
+    if summary["rejected_messages"]:
+        rows["bad messages"] = counts("rejected_messages")
+    if summary["lost_ledger_lines"]:
+        rows["LOST LINES"] = f"{summary['lost_ledger_lines']} (is the disk full?)"
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for key, value in rows.items():
+        table.add_row(f"[bold]{key}[/bold]", value)
+    console = Console()
+    console.print(table)
+    files = [LEDGER_NAME, SUMMARY_NAME, *([PLOT_NAME] if options.plot else [])]
+    console.print("written: " + ", ".join(str(options.out / f) for f in files), soft_wrap=True)
+
+
+if __name__ == "__main__":
+    main()

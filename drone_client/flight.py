@@ -1,0 +1,193 @@
+"""A run of the client: the threads, and what they share.
+
+::
+
+    playback thread   capture -> uplink's one-slot mailbox
+    uplink thread     mailbox -> encode -> link                      (ack clock)
+    link's thread     message -> receiver: gate -> target estimate   -> ledger
+    control thread    pose, estimate -> guidance -> filter -> autopilot, at control_hz
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from drone_client.airframe import Airframe
+from drone_client.autopilot import Autopilot
+from drone_client.control import ControlSettings, Decision, decide, stop_command
+from drone_client.gate import GateSettings
+from drone_client.ledger import Fate, Ledger
+from drone_client.link import Link
+from drone_client.reception import Receiver, Reception
+from drone_client.records import decision_record, reception_record
+from drone_client.uplink import Uplink, UplinkSettings
+from rgbd_wire.clock import Clock
+from rgbd_wire.frame import RgbdFrame
+from rgbd_wire.geometry import Pose
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class FlightSettings:
+    """All that the parts of a run need."""
+
+    uplink: UplinkSettings
+    gate: GateSettings
+    control: ControlSettings
+    control_hz: float
+    reply_timeout_ns: int
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts of a run so far, for the progress line and the summary."""
+
+    verdicts: Counter[str] = field(default_factory=Counter)
+    outcomes: Counter[str] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)
+    workers: Counter[str] = field(default_factory=Counter)
+    statuses: Counter[str] = field(default_factory=Counter)
+    freshness: Counter[str] = field(default_factory=Counter)
+    late_results: int = 0
+    """Results of frames that had been given up on."""
+    control_errors: int = 0
+
+
+class Flight:
+    """Owns receiver, uplink and the control thread; everything else is handed to it."""
+
+    def __init__(
+        self,
+        settings: FlightSettings,
+        airframe: Airframe,
+        link: Link,
+        autopilot: Autopilot,
+        clock: Clock,
+        ledger: Ledger,
+        world_from_body: Callable[[int], Pose | None],
+    ) -> None:
+        self.tally = Tally()
+        self._settings = settings
+        self._airframe = airframe
+        self._link = link
+        self._autopilot = autopilot
+        self._clock = clock
+        self._ledger = ledger
+        self._world_from_body = world_from_body
+        self._stopping = threading.Event()
+        self._receiver = Receiver(
+            settings.uplink.drone,
+            settings.uplink.boot_id,
+            settings.gate,
+            airframe,
+            on_heard=lambda sequence, worker: self._uplink.heard(sequence, worker),
+            on_result=self._on_result,
+        )
+        self._uplink = Uplink(settings.uplink, link, clock, self._receiver, ledger)
+        self._control = threading.Thread(target=self._run_control, name="control", daemon=True)
+
+    @property
+    def receiver(self) -> Receiver:
+        """For its counts."""
+        return self._receiver
+
+    def start(self) -> None:
+        """Start receiving, sending and controlling."""
+        self._link.start(self._receiver.on_message)
+        self._uplink.start()
+        self._control.start()
+
+    def capture(self, frame: RgbdFrame, name: str) -> None:
+        """Offer a frame to the workers."""
+        if frame.world_from_camera is not None:
+            camera_from_body = self._airframe.body_from_camera.inverse()
+            self._receiver.add_pose(frame.t_capture_ns, frame.world_from_camera @ camera_from_body)
+        self._uplink.submit(frame, name)
+
+    def drain(self) -> None:
+        """Wait until each frame's fate is known; the time-outs bound it."""
+        while self._ledger.under_way and not self._stopping.wait(0.01):
+            pass
+
+    def stop(self) -> None:
+        """Stop all threads; the last command is to stand still."""
+        self._stopping.set()
+        self._uplink.stop()
+        if self._control.is_alive():
+            self._control.join(timeout=5.0)
+        self._link.close()
+        self._ledger.close()
+
+    def _on_result(self, reception: Reception) -> None:
+        tally, result = self.tally, reception.result
+        verdict = reception.judgement.verdict
+        tally.verdicts[verdict.value] += 1
+        if not verdict.settles_frame:
+            self._ledger.event(
+                reception.t4_ns,
+                "refused_result",
+                verdict=verdict.value,
+                sequence=result.sequence,
+                worker=result.worker,
+            )
+            return
+        tally.outcomes[result.outcome.value] += 1
+        tally.workers[result.worker] += 1
+        if result.reason:
+            tally.reasons[result.reason] += 1
+        decision = self._decide(self._clock.now_ns())
+        record = reception_record(reception) | decision_record(decision)
+        if not self._ledger.close_frame(result.sequence, Fate.ANSWERED, record):
+            tally.late_results += 1
+            self._ledger.event(
+                reception.t4_ns, "late_result", verdict=verdict.value, sequence=result.sequence
+            )
+
+    def _decide(self, now_ns: int) -> Decision:
+        return decide(
+            now_ns,
+            self._receiver.estimate,
+            self._receiver.pose_at(now_ns),
+            self._airframe,
+            self._settings.control,
+        )
+
+    def _run_control(self) -> None:
+        period_ns = round(1e9 / self._settings.control_hz)
+        due_ns = self._clock.now_ns()
+        while not self._stopping.is_set():
+            now_ns = self._clock.now_ns()
+            try:
+                self._tick(now_ns)
+            except Exception:
+                # Last line of defence: whatever went wrong, the drone stands still, and it is told.
+                self.tally.control_errors += 1
+                logger.exception("control tick failed: commanding a stop")
+                self._autopilot.command(stop_command(now_ns))
+            due_ns += period_ns
+            now_ns = self._clock.now_ns()
+            if due_ns < now_ns - 5 * period_ns:
+                due_ns = now_ns  # fell behind: no burst of ticks to catch up
+            self._stopping.wait(max(0, due_ns - now_ns) / 1e9)
+        self._autopilot.command(stop_command(self._clock.now_ns()))
+
+    def _tick(self, now_ns: int) -> None:
+        world_from_body = self._world_from_body(now_ns)
+        if world_from_body is not None:
+            self._receiver.add_pose(now_ns, world_from_body)
+        decision = self._decide(now_ns)
+        self._autopilot.command(decision.command)
+
+        if decision.safe is not None:
+            self.tally.statuses[decision.safe.status.value] += 1
+            self.tally.freshness[decision.safe.freshness.value] += 1
+        else:
+            self.tally.statuses[decision.known.value] += 1
+        self._ledger.tick({"t_ns": now_ns} | decision_record(decision))
+        given_up_before_ns = now_ns - self._settings.reply_timeout_ns
+        self._ledger.close_unanswered(given_up_before_ns, decision_record(decision))

@@ -1,0 +1,119 @@
+"""The picture of a run: delays against the gate, the barrier, the commands, one time axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from drone_client.gate import Verdict
+
+PLOT_NAME = "run.png"
+_FATE_COLORS = {
+    "superseded_on_board": "tab:gray",
+    "no_worker": "tab:purple",
+    "no_reply": "tab:red",
+    "interrupted": "tab:brown",
+}
+_FRESHNESS_COLORS = {"hold": "gold", "brake": "orange", "retreat": "tab:red"}
+
+
+def plot_run(
+    path: Path,
+    frames: Sequence[dict[str, Any]],
+    ticks: Sequence[dict[str, Any]],
+    tau_max_ms: float,
+    age_max_ms: float,
+) -> None:
+    """Draw a run from its ledger lines into a PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import
+    from matplotlib.figure import Figure
+
+    start_ns = min([f["t_capture_ns"] for f in frames] + [t["t_ns"] for t in ticks[:1]], default=0)
+
+    def seconds(t_ns: int) -> float:
+        return (t_ns - start_ns) / 1e9
+
+    figure = Figure(figsize=(11, 10), layout="constrained")
+    FigureCanvasAgg(figure)
+    delays, barrier, tip, commands = figure.subplots(4, 1, sharex=True)
+
+    answered = [f for f in frames if f["fate"] == "answered" and f["age_ms"] is not None]
+    for label, keep, marker in (
+        ("accepted", True, "o"),
+        ("refused by the gate", False, "x"),
+    ):
+        chosen = [f for f in answered if (f["verdict"] == Verdict.ACCEPTED.value) is keep]
+        times = [seconds(f["t_capture_ns"]) for f in chosen]
+        delays.plot(
+            times,
+            [f["network_delay_ms"] for f in chosen],
+            marker,
+            color="tab:blue",
+            ms=4,
+            label=f"d1 + d2, {label}",
+        )
+        delays.plot(
+            times,
+            [f["age_ms"] for f in chosen],
+            marker,
+            color="tab:green",
+            ms=4,
+            label=f"age on arrival, {label}",
+        )
+    delays.axhline(tau_max_ms, color="tab:blue", ls="--", lw=1, label=r"$\tau_{max}$")
+    delays.axhline(age_max_ms, color="tab:green", ls="--", lw=1, label=r"age$_{max}$")
+    for fate, color in _FATE_COLORS.items():
+        times = [seconds(f["t_capture_ns"]) for f in frames if f["fate"] == fate]
+        if times:
+            delays.plot(times, [0.0] * len(times), "|", color=color, ms=12, label=fate)
+    delays.set_ylabel("ms")
+    delays.set_ylim(bottom=-0.05 * age_max_ms)
+    delays.legend(fontsize=7, ncols=4, loc="upper right")
+
+    times = [seconds(t["t_ns"]) for t in ticks]
+
+    def column(name: str, index: int | None = None) -> list[float]:
+        values = [t.get(name) for t in ticks]
+        return [float("nan") if v is None else (v if index is None else v[index]) for v in values]
+
+    barrier.plot(times, column("h_m"), color="tab:blue", label="h at the estimated tip")
+    barrier.plot(times, column("h_robust_m"), color="tab:orange", label="h that is certain")
+    barrier.axhline(0.0, color="black", lw=0.8)
+    _shade(barrier, times, [t.get("freshness") for t in ticks])
+    barrier.set_ylabel("m")
+    barrier.legend(fontsize=7, loc="upper right")
+
+    for index, axis in enumerate("xyz"):
+        tip.plot(times, column("tip_target_m", index), label=f"tip {axis} in the target's frame")
+        commands.plot(times, column("command_mps", index), label=f"commanded velocity {axis}")
+    tip.set_ylabel("m")
+    tip.legend(fontsize=7, loc="upper right")
+    commands.plot(times, column("yaw_rate_radps"), color="tab:gray", label="yaw rate [rad/s]")
+    commands.set_ylabel("m/s")
+    commands.set_xlabel("s")
+    commands.legend(fontsize=7, loc="upper right")
+    for axes in (delays, barrier, tip, commands):
+        axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
+
+
+def _shade(axes: Any, times: Sequence[float], phases: Sequence[str | None]) -> None:
+    """Shade the stretches in which what is known was not fresh; name each phase once."""
+    named: set[str] = set()
+    start = 0
+    for i in range(1, len(phases) + 1):
+        if i < len(phases) and phases[i] == phases[start]:
+            continue
+        phase = phases[start]
+        if phase in _FRESHNESS_COLORS:
+            axes.axvspan(
+                times[start],
+                times[min(i, len(times) - 1)],
+                color=_FRESHNESS_COLORS[phase],
+                alpha=0.25,
+                lw=0,
+                label=None if phase in named else phase,
+            )
+            named.add(phase)
+        start = i

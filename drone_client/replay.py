@@ -1,0 +1,174 @@
+"""``drone-client replay``: a recording flown through the whole chain, against real workers."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from drone_client.airframe import Airframe
+from drone_client.autopilot.memory import MemoryAutopilot
+from drone_client.cbf.settings import FilterSettings
+from drone_client.control import ControlSettings
+from drone_client.errors import LinkError, OutputError
+from drone_client.flight import Flight, FlightSettings, Tally
+from drone_client.gate import GateSettings
+from drone_client.ledger import LEDGER_NAME, TICKS_NAME, Ledger
+from drone_client.link import Link
+from drone_client.playback import Lockstep, Playback, RealTime
+from drone_client.plot import PLOT_NAME, plot_run
+from drone_client.settings import NS_PER_MS, ClientSettings
+from drone_client.source import RgbdSource
+from drone_client.summary import read_lines, summarise
+from drone_client.truth import TruthEntry
+from drone_client.uplink import UplinkSettings
+from rgbd_wire.clock import Clock
+from rgbd_wire.frame import RgbdFrame
+
+SUMMARY_NAME: Final = "summary.json"
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """What the command line says of one replay."""
+
+    out: Path
+    as_fast_as_possible: bool = False
+    """Each frame after the last one's answer, instead of at the recording's speed."""
+    truth: tuple[TruthEntry, ...] = ()
+    plot: bool = True
+
+
+def flight_settings(settings: ClientSettings) -> FlightSettings:
+    """The parts' settings out of the client's: every bound is stated once, in ``settings``."""
+    tau_max_ns = round(settings.tau_max_ms * NS_PER_MS)
+    age_max_ns = round(settings.age_max_ms * NS_PER_MS)
+    control = ControlSettings(filter=replace(FilterSettings(), period_s=1.0 / settings.control_hz))
+    return FlightSettings(
+        uplink=UplinkSettings(
+            drone=settings.name,
+            boot_id=secrets.randbits(63),
+            window=settings.window,
+            ack_timeout_ns=round(settings.ack_timeout_ms * NS_PER_MS),
+            budget_ns=age_max_ns,
+            jpeg_quality=settings.jpeg_quality,
+        ),
+        gate=GateSettings(tau_max_ns, age_max_ns),
+        control=control,
+        control_hz=settings.control_hz,
+        reply_timeout_ns=round(settings.reply_timeout_ms * NS_PER_MS),
+    )
+
+
+def wait_for_worker(link: Link, settings: ClientSettings) -> tuple[str, ...]:
+    """Names of the workers, as soon as there is one.
+
+    Raises:
+        LinkError: none came in time.
+    """
+    give_up = time.monotonic() + settings.wait_for_worker_s
+    while not (workers := link.workers()):
+        if time.monotonic() >= give_up:
+            raise LinkError(
+                f"no worker answers at {settings.connect} within {settings.wait_for_worker_s:g} s: "
+                "is edge-service running there, and the port open?"
+            )
+        time.sleep(0.02)
+    return workers
+
+
+def replay(
+    source: RgbdSource,
+    airframe: Airframe,
+    settings: ClientSettings,
+    options: ReplayOptions,
+    link: Link,
+    clock: Clock,
+    on_progress: Callable[[int, Tally], None],
+) -> dict[str, Any]:
+    """Fly a recording; returns the summary, which is also written beside ledger and plot.
+
+    An interrupt (Ctrl-C) ends it early and still leaves a whole ledger, a summary and a plot.
+
+    Raises:
+        ClientError: the output folder cannot be written, a picture cannot be read, or there is no
+            worker.
+    """
+    ledger = Ledger(options.out)
+    stop = threading.Event()
+    playback: Playback
+    if options.as_fast_as_possible:
+        playback = Lockstep(source, airframe, clock, stop, ledger.settled)
+    else:
+        playback = RealTime(source, airframe, clock, stop)
+    flight = Flight(
+        flight_settings(settings),
+        airframe,
+        link,
+        MemoryAutopilot(),
+        clock,
+        ledger,
+        playback.world_from_body,
+    )
+    interrupted = False
+    try:
+        flight.start()
+        ledger.event(clock.now_ns(), "workers", live=wait_for_worker(link, settings))
+        for number, (t_capture_ns, capture) in enumerate(playback.captures(), 1):
+            frame = RgbdFrame(
+                color_rgb=capture.color_rgb,
+                depth_units=capture.depth_units,
+                camera=source.camera,
+                t_capture_ns=t_capture_ns,
+                world_from_camera=source.world_from_camera(capture.t_source_ns),
+            )
+            flight.capture(frame, capture.name)
+            on_progress(number, flight.tally)
+        flight.drain()
+        on_progress(len(source), flight.tally)
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        stop.set()
+        flight.stop()
+    return _finish(flight, ledger, settings, options, interrupted)
+
+
+def _finish(
+    flight: Flight,
+    ledger: Ledger,
+    settings: ClientSettings,
+    options: ReplayOptions,
+    interrupted: bool,
+) -> dict[str, Any]:
+    try:
+        frames = read_lines(options.out / LEDGER_NAME)
+        ticks = read_lines(options.out / TICKS_NAME)
+        summary = {
+            "drone": settings.name,
+            "connect": settings.connect,
+            "tau_max_ms": settings.tau_max_ms,
+            "age_max_ms": settings.age_max_ms,
+            "as_fast_as_possible": options.as_fast_as_possible,
+            "interrupted": interrupted,
+            **summarise(frames, ticks, options.truth),
+            "rejected_messages": {r.value: n for r, n in flight.receiver.rejects.items()},
+            "foreign_messages": flight.receiver.foreign,
+            "late_results": flight.tally.late_results,
+            "control_errors": flight.tally.control_errors,
+            "lost_ledger_lines": ledger.lost_lines,
+        }
+        (options.out / SUMMARY_NAME).write_text(
+            json.dumps(summary, indent=2) + "\n", encoding="utf-8"
+        )
+        if options.plot:
+            path = options.out / PLOT_NAME
+            plot_run(path, frames, ticks, settings.tau_max_ms, settings.age_max_ms)
+    except OSError as error:
+        raise OutputError(f"folder {options.out}: {error.strerror}") from None
+    return summary

@@ -1,0 +1,89 @@
+"""The client's settings: read once from ``DRONE_*``, frozen, bounded, passed down by value."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from typing import Any, Self
+
+from pydantic import Field, ValidationError, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from drone_client.errors import ClientError
+from rgbd_wire.color import DEFAULT_JPEG_QUALITY
+from rgbd_wire.streams import FRAME, RESULT
+
+ENV_PREFIX = "DRONE_"
+NS_PER_MS = 1_000_000
+
+
+class ClientSettings(BaseSettings):
+    """Everything that can be set about a run of the client."""
+
+    model_config = SettingsConfigDict(env_prefix=ENV_PREFIX, frozen=True, extra="forbid")
+
+    name: str = Field("drone", pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$", description="drone's name")
+    connect: str = Field(
+        "tcp/127.0.0.1:7447", description="workers' endpoints, separated by commas"
+    )
+    tau_max_ms: float = Field(
+        FRAME.max_age_ms, gt=0, le=10_000, description="largest network delay d1+d2 [ms]"
+    )
+    age_max_ms: float = Field(
+        RESULT.max_age_ms, gt=0, le=10_000, description="largest age of a result on arrival [ms]"
+    )
+    window: int = Field(2, ge=1, le=16, description="frames in the network at most")
+    ack_timeout_ms: float = Field(
+        500.0, gt=0, le=10_000, description="a frame's slot is freed by force after this [ms]"
+    )
+    reply_timeout_ms: float = Field(
+        2000.0, gt=0, le=60_000, description="a frame counts as unanswered after this [ms]"
+    )
+    jpeg_quality: int = Field(DEFAULT_JPEG_QUALITY, ge=1, le=100, description="of colour")
+    control_hz: float = Field(50.0, ge=1, le=500, description="rate of the control loop [Hz]")
+    wait_for_worker_s: float = Field(
+        10.0, ge=0, le=600, description="how long to wait for a first worker [s]"
+    )
+
+    @model_validator(mode="after")
+    def _age_covers_the_network(self) -> Self:
+        if self.tau_max_ms > self.age_max_ms:
+            raise ValueError(
+                f"tau_max_ms ({self.tau_max_ms:g}) must not exceed age_max_ms "
+                f"({self.age_max_ms:g}): the age holds the network delay"
+            )
+        return self
+
+    @property
+    def endpoints(self) -> tuple[str, ...]:
+        """The workers' endpoints, apart."""
+        return tuple(e.strip() for e in self.connect.split(",") if e.strip())
+
+
+def load_settings(**flags: Any) -> ClientSettings:
+    """Settings of the environment, with the command line's flags above them (None: not given).
+
+    Raises:
+        ClientError: names the variable or flag at fault and what it may be.
+    """
+    known = [f"{ENV_PREFIX}{name.upper()}" for name in ClientSettings.model_fields]
+    for name in os.environ:
+        if name.startswith(ENV_PREFIX) and name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
+            raise ClientError(f"unknown setting {name}{hint}")
+    given = {key: value for key, value in flags.items() if value is not None}
+    try:
+        return ClientSettings(**given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        if not first["loc"]:
+            raise ClientError(str(first["ctx"]["error"])) from None
+        field = str(first["loc"][0])
+        source = f"--{field.replace('_', '-')}" if field in given else known_name(field)
+        raise ClientError(f"{source} = {first['input']!r}: {first['msg'].lower()}") from None
+
+
+def known_name(field: str) -> str:
+    """Environment variable of a field."""
+    return f"{ENV_PREFIX}{field.upper()}"
