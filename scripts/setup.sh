@@ -1,0 +1,57 @@
+# shellcheck shell=bash
+# Sourced by the other scripts: a virtual environment with what a role needs, made once.
+#
+#   prepare EXTRAS     e.g. prepare drone,edge   ->   $ROOT/.venv
+#
+# PYTHON           the interpreter to use (default: the first of python3.11 .. python3 that is new enough)
+# TORCH_INDEX_URL  a package index with CPU builds of torch; without it the default index decides, whose
+#                  Linux builds bring gigabytes of CUDA along
+set -euo pipefail
+ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+VENV=$ROOT/.venv
+BIN=$VENV/bin
+
+say() { printf '%s\n' "$*" >&2; }
+die() { say "error: $*"; exit 2; }
+
+find_python() {
+  local candidate
+  for candidate in "${PYTHON:-}" python3.11 python3.12 python3.13 python3; do
+    if [ -n "$candidate" ] && command -v "$candidate" >/dev/null &&
+      "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+      command -v "$candidate"
+      return
+    fi
+  done
+  die "no Python 3.11 or newer found. On Debian: apt-get install python3 python3-venv (or set PYTHON=...)"
+}
+
+make_venv() {
+  local python=$1
+  if "$python" -m venv "$VENV" >/dev/null 2>&1; then return; fi
+  rm -rf "$VENV"
+  # Debian splits venv off: install it where we may, say so where we may not.
+  if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+    say "installing python3-venv ..."
+    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq python3-venv; } >/dev/null ||
+      die "could not install python3-venv"
+    "$python" -m venv "$VENV" || die "$python cannot make a virtual environment"
+  else
+    die "$python cannot make a virtual environment. On Debian: sudo apt-get install python3-venv"
+  fi
+}
+
+prepare() {
+  local extras=$1 python stamp
+  python=$(find_python)
+  stamp=$VENV/.prepared-$extras-$({ cat "$ROOT/pyproject.toml"; "$python" -V; } | cksum | tr -d ' ')
+  [ -e "$stamp" ] && return
+  say "setting up .venv for $extras (once) ..."
+  [ -x "$BIN/python" ] || make_venv "$python"
+  # torch first and by itself, so that an index given for it serves nothing else
+  "$BIN/python" -m pip install -q --disable-pip-version-check ${TORCH_INDEX_URL:+--index-url "$TORCH_INDEX_URL"} \
+    "torch==2.13.0" || die "could not install torch 2.13.0"
+  "$BIN/python" -m pip install -q --disable-pip-version-check -e "$ROOT[$extras]" ||
+    die "could not install the project with its packages"
+  touch "$stamp"
+}
