@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from drone_client.cbf.settings import FilterSettings
 
-OLDEST_S = 1000.0
+OLDEST_NS = 10**12
 """Growth stops being counted here: the drone has long retreated, by a rule without delta."""
 
 
@@ -21,7 +21,7 @@ def error_ball_m(age_ns: int, range_m: float, sigma_m: float, settings: FilterSe
         settings: The filter's.
     """
     # The order of the arguments makes max() and min() drop a NaN.
-    age_s = min(OLDEST_S, max(settings.age_max_ns, age_ns) / 1e9)
+    age_s = min(OLDEST_NS, max(settings.age_max_ns, age_ns)) / 1e9
     return (
         settings.delta_base_m
         + settings.delta_range_gain * range_m

@@ -49,12 +49,12 @@ class CuspFunnel:
     exponent: float = 1.5
     """Of ``l`` in the lateral gradient ``-a (y, z) / (2 l^exponent)``: 3/2 is true."""
 
-    def h(self, p_target: Vec3, delta_m: float = 0.0) -> float:  # noqa: ARG002 - see the class
+    def h(self, p_target: Vec3, delta_m: float = 0.0) -> float:
         """Value [m] for the tip ``p_target`` [m]; ``delta_m`` is ignored."""
         x, y, z = p_target
         return x - self.a * math.sqrt(math.hypot(y, z))
 
-    def gradient(self, p_target: Vec3, delta_m: float = 0.0) -> Vec3:  # noqa: ARG002
+    def gradient(self, p_target: Vec3, delta_m: float = 0.0) -> Vec3:
         """Gradient at the tip ``p_target`` [m]; on the axis, where there is none, (1, 0, 0)."""
         _, y, z = p_target
         l = math.hypot(y, z)
@@ -63,7 +63,7 @@ class CuspFunnel:
         k = -0.5 * self.a / l**self.exponent
         return 1.0, k * y, k * z
 
-    def dh_ddelta(self, p_target: Vec3, delta_m: float) -> float:  # noqa: ARG002
+    def dh_ddelta(self, p_target: Vec3, delta_m: float) -> float:
         """Zero: the cusp ignores the error ball."""
         return 0.0
 

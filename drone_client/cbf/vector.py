@@ -1,4 +1,4 @@
-"""The little vector algebra the filter needs, on tuples of three floats: no array, no dependency."""
+"""The little vector algebra that the filter needs, on tuples of three floats."""
 
 from __future__ import annotations
 

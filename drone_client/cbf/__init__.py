@@ -1,0 +1,45 @@
+"""The safety filter: keeps the tip of the arm in a funnel that ends at the contact point.
+
+``filter_command`` is the one door; the parts stand alone for tests and plots. docs/cbf.md derives
+every formula.
+"""
+
+from __future__ import annotations
+
+from drone_client.cbf.error_ball import error_ball_m
+from drone_client.cbf.filter import FilterInput, SafeCommand, filter_command
+from drone_client.cbf.freshness import Freshness, freshness
+from drone_client.cbf.funnel import Funnel
+from drone_client.cbf.half_space import HalfSpace, build
+from drone_client.cbf.limits import alpha, closing_limit_mps
+from drone_client.cbf.next_step import Hold, checked
+from drone_client.cbf.settings import FilterSettings
+from drone_client.cbf.solve import Solution, solve
+from drone_client.cbf.status import Status
+from drone_client.cbf.variants import Barrier, CuspFunnel, Variant, paper_funnel
+from drone_client.cbf.vector import Vec3
+
+__all__ = [
+    "Barrier",
+    "CuspFunnel",
+    "FilterInput",
+    "FilterSettings",
+    "Freshness",
+    "Funnel",
+    "HalfSpace",
+    "Hold",
+    "SafeCommand",
+    "Solution",
+    "Status",
+    "Variant",
+    "Vec3",
+    "alpha",
+    "build",
+    "checked",
+    "closing_limit_mps",
+    "error_ball_m",
+    "filter_command",
+    "freshness",
+    "paper_funnel",
+    "solve",
+]
