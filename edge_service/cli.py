@@ -1,0 +1,132 @@
+"""The command ``edge-service``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from edge_service.errors import EdgeError, InputError
+from edge_service.json_log import configure
+from edge_service.settings import PREFIX, EdgeSettings, load_settings
+from rgbd_wire.errors import WireError
+from target_pose.errors import TargetError
+
+EXIT_NO_TARGET = 1
+EXIT_USAGE = 2
+MAX_FILE_BYTES = 64_000_000
+
+app = typer.Typer(
+    help="Finds a printed target in RGB-D pictures: for drones over Zenoh, for people over HTTP.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Target = Annotated[
+    str | None, typer.Option(help="Name of a packaged target or path of a target TOML.")
+]
+Weights = Annotated[Path | None, typer.Option(help="Detector weights; default: those packaged.")]
+Threads = Annotated[int | None, typer.Option(help="Detector threads; default: the CPU quota.")]
+
+
+def main() -> None:
+    """Entry point: errors are one line on stderr and exit code 2."""
+    try:
+        app()
+    except (EdgeError, TargetError, WireError) as error:
+        print(f"edge-service: {error}", file=sys.stderr)
+        sys.exit(EXIT_USAGE)
+
+
+@app.command(
+    epilog="Example: edge-service serve --listen tcp/0.0.0.0:7447 --http 127.0.0.1:8080. "
+    "Every flag has a variable, and there are more: edge-service settings."
+)
+def serve(
+    listen: Annotated[
+        str | None, typer.Option(help="Zenoh endpoints to listen on, separated by commas.")
+    ] = None,
+    connect: Annotated[
+        str | None, typer.Option(help="Zenoh routers to join instead of listening.")
+    ] = None,
+    http: Annotated[str | None, typer.Option(help="HOST:PORT of the HTTP side.")] = None,
+    name: Annotated[str | None, typer.Option(help="This worker's name.")] = None,
+    target: Target = None,
+    weights: Weights = None,
+    threads: Threads = None,
+) -> None:
+    """Serve drones until SIGTERM or Ctrl-C; both finish what is there, a second one does not."""
+    settings = load_settings(
+        zenoh_listen=listen,
+        zenoh_connect=connect,
+        http=http,
+        name=name,
+        target=target,
+        weights=weights,
+        threads=threads,
+    )
+    configure(settings.log_level)
+    from edge_service import process  # loads torch: --help and a wrong flag need not wait for it
+
+    raise typer.Exit(process.serve(settings))
+
+
+@app.command(
+    epilog="Example: edge-service localize color.jpg depth.png --camera camera.json --json"
+)
+def localize(
+    color: Annotated[Path, typer.Argument(help="Colour picture, JPEG or PNG.")],
+    depth: Annotated[
+        Path | None, typer.Argument(help="Depth picture, 16-bit PNG; may be left out.")
+    ] = None,
+    *,
+    camera: Annotated[Path, typer.Option(help="Camera JSON of both pictures.")],
+    json: Annotated[bool, typer.Option("--json", help="Print what POST /v1/localize answers.")] = (
+        False
+    ),
+    target: Target = None,
+    weights: Weights = None,
+    threads: Threads = None,
+) -> None:
+    """Find the target in one picture; exit code 1 when there is none."""
+    settings = load_settings(target=target, weights=weights, threads=threads)
+    configure(settings.log_level)
+    color_file, camera_file = _read(color, "color"), _read(camera, "camera")
+    depth_file = None if depth is None else _read(depth, "depth")
+    from edge_service.handed_in import frame_of_files
+    from edge_service.one_frame import localise_frame, report  # loads torch
+
+    body = localise_frame(frame_of_files(color_file, depth_file, camera_file), settings)
+    if json:
+        print(body.model_dump_json(indent=2))
+    else:
+        Console().print(report(body))
+    raise typer.Exit(0 if body.target is not None else EXIT_NO_TARGET)
+
+
+@app.command("settings")
+def list_settings() -> None:
+    """List every EDGE_ variable with its default and what it means."""
+    table = Table("variable", "default", "meaning", box=None, pad_edge=False)
+    for name, field in EdgeSettings.model_fields.items():
+        default = field.get_default(call_default_factory=True)
+        table.add_row(
+            PREFIX + name.upper(), "" if default is None else str(default), field.description
+        )
+    Console().print(table)
+
+
+def _read(path: Path, field: str) -> bytes:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise InputError(field, f"{path}: {error.strerror}") from None
+    if len(data) > MAX_FILE_BYTES:
+        raise InputError(field, f"{path}: over {MAX_FILE_BYTES // 1_000_000} MB")
+    return data

@@ -1,0 +1,34 @@
+"""A detector that several threads may ask: one inference at a time."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_service.pipeline import Detector
+from target_pose.candidate import Detections
+
+
+class GuardedDetector:
+    """Lets one thread at a time into a detector that is not made for more."""
+
+    def __init__(self, detector: Detector) -> None:
+        self._detector = detector
+        self._lock = threading.Lock()
+
+    @property
+    def model_hash(self) -> str:
+        """SHA-256 of the weights."""
+        return self._detector.model_hash
+
+    def detect(self, color_rgb: NDArray[np.uint8]) -> Detections:
+        """All boxes of a picture (H, W, 3), once it is this thread's turn."""
+        with self._lock:
+            return self._detector.detect(color_rgb)
+
+    def describe(self) -> dict[str, Any]:
+        """What it is and how it runs."""
+        return self._detector.describe()

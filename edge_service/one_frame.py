@@ -1,0 +1,51 @@
+"""One frame without a service: the same stages, once, and what they found for people to read."""
+
+from __future__ import annotations
+
+from rich.table import Table
+
+from edge_service.http.bodies import LocalizeBody, TargetBody
+from edge_service.parts import make_pipeline
+from edge_service.settings import EdgeSettings
+from rgbd_wire.clock import MonotonicClock
+from rgbd_wire.frame import RgbdFrame
+
+
+def localise_frame(frame: RgbdFrame, settings: EdgeSettings) -> LocalizeBody:
+    """Load the detector and look for the target in one frame."""
+    pipeline = make_pipeline(settings, MonotonicClock())
+    return LocalizeBody.of(pipeline.locate(frame), pipeline.detector.model_hash)
+
+
+def report(body: LocalizeBody) -> Table:
+    """A small table of what was found."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("outcome", body.outcome)
+    if body.reason:
+        table.add_row("reason", body.reason)
+    if body.target is not None:
+        for name, value in _rows(body.target):
+            table.add_row(name, value)
+    spent = ", ".join(f"{stage} {ms:.1f}" for stage, ms in body.timings_ms.items())
+    table.add_row("time", f"{spent} ms")
+    return table
+
+
+def _rows(target: TargetBody) -> list[tuple[str, str]]:
+    pose = target.camera_from_target
+    sigma_mm = [1000 * target.covariance[i][i] ** 0.5 for i in range(3)]
+    rows = [
+        ("distance", f"{target.distance_m:.3f} m"),
+        ("position", _numbers(pose.translation_m, "+.4f") + " m in camera (right, down, forward)"),
+        ("+- 1 sigma", _numbers(sigma_mm, ".1f") + " mm"),
+        ("q_wxyz", _numbers(pose.q_wxyz, "+.4f")),
+        ("method", f"{target.method}, roll by {target.roll_source}, score {target.score:.2f}"),
+    ]
+    if target.ambiguous and target.alternative is not None:
+        other = _numbers(target.alternative.q_wxyz, "+.4f")
+        rows.append(("ambiguous", f"the mirrored fold fits as well: q_wxyz {other}"))
+    return rows
+
+
+def _numbers(values: tuple[float, ...] | list[float], form: str) -> str:
+    return " ".join(format(v, form) for v in values)

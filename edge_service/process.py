@@ -1,0 +1,94 @@
+"""The service as a process: signals, the start-up lines, the exit code."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+import time
+from importlib import metadata
+
+from edge_service.http.app import create_app
+from edge_service.http.server import HttpServer, bind
+from edge_service.mailbox import Mailbox
+from edge_service.metrics import Metrics
+from edge_service.parts import make_pipeline, make_transport
+from edge_service.service import EdgeService
+from edge_service.settings import EdgeSettings
+from edge_service.state import ServiceState
+from rgbd_wire.clock import MonotonicClock
+
+EXIT_OK = 0
+EXIT_STUCK = 1
+EXIT_FORCED = 130
+
+
+def serve(settings: EdgeSettings) -> int:
+    """Run until SIGTERM or SIGINT; the exit code.
+
+    Raises:
+        AddressError, WeightsError, TargetFileError: it cannot start.
+    """
+    return asyncio.run(_serve(settings))
+
+
+async def _serve(settings: EdgeSettings) -> int:
+    start_s = time.monotonic()
+    _say(f"edge-service {metadata.version('aerial-contact')}, worker {settings.name}")
+    mailbox = Mailbox(settings.max_drones, int(settings.drone_idle_s * 1e9))
+    state = ServiceState(settings, Metrics(), mailbox)
+    listener = bind(*settings.http_address)
+    host, port = listener.getsockname()[:2]
+    _say(f"http   http://{host}:{port} (alive, not ready)")
+    http = HttpServer(create_app(state))
+    http_task = asyncio.create_task(http.serve([listener]))
+    stop = _stop_on_signals()
+    try:
+        service = await asyncio.to_thread(_bring_up, settings, state)
+        seconds = time.monotonic() - start_s
+        _say(f"ready  in {seconds:.1f} s; Ctrl-C stops")
+        stopped = asyncio.create_task(stop.wait())
+        await asyncio.wait({stopped, http_task}, return_when=asyncio.FIRST_COMPLETED)
+        _say("drain  answering what is here")
+        finished = await asyncio.to_thread(service.drain, time.sleep)
+    finally:
+        http.should_exit = True
+        await http_task
+    _say("bye" if finished else "bye; the worker did not come round in time")
+    return EXIT_OK if finished else EXIT_STUCK
+
+
+def _bring_up(settings: EdgeSettings, state: ServiceState) -> EdgeService:
+    clock = MonotonicClock()
+    pipeline = make_pipeline(settings, clock)
+    detector = pipeline.detector.describe()
+    _say(
+        f"model  {detector['name']} {pipeline.detector.model_hash[:12]}, "
+        f"{detector['precision']}, {detector['threads']} threads"
+    )
+    service = EdgeService(settings, pipeline, make_transport(settings), state, clock)
+    service.start()
+    joined = ", ".join(settings.connect_endpoints)
+    _say(f"zenoh  joins {joined}" if joined else f"zenoh  {', '.join(settings.listen_endpoints)}")
+    return service
+
+
+def _stop_on_signals() -> asyncio.Event:
+    """An event that the first SIGTERM or SIGINT sets; the second one ends the process at once."""
+    stop = asyncio.Event()
+
+    def handle() -> None:
+        if stop.is_set():
+            print("edge-service: stopped by force", file=sys.stderr, flush=True)
+            os._exit(EXIT_FORCED)
+        stop.set()
+
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, handle)
+    return stop
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)

@@ -1,0 +1,100 @@
+"""Acks and results: how a worker's answers are made, stamped, counted and sent."""
+
+from __future__ import annotations
+
+from edge_service.mailbox import Arrival
+from edge_service.metrics import Metrics
+from edge_service.pipeline import Found, Output
+from edge_service.transport import Transport
+from rgbd_wire.clock import Clock
+from rgbd_wire.messages import (
+    Ack,
+    FrameHeader,
+    LevelBox,
+    Result,
+    TargetPose,
+    pack_covariance,
+    pose_numbers,
+    seal_ack,
+    seal_result,
+)
+
+
+class Replies:
+    """Answers in the name of one start of one worker."""
+
+    def __init__(
+        self,
+        worker: str,
+        boot_id: int,
+        model_hash: str,
+        transport: Transport,
+        metrics: Metrics,
+        clock: Clock,
+    ) -> None:
+        self._worker = worker
+        self._boot_id = boot_id
+        self._model_hash = model_hash
+        self._transport = transport
+        self._metrics = metrics
+        self._clock = clock
+        self.draining = False
+        """Said in every result from now on."""
+
+    def ack(self, header: FrameHeader) -> None:
+        """Tell a drone that its frame has arrived whole: exactly one result will follow."""
+        ack = Ack(header.drone, header.boot_id, header.sequence, self._worker, self._boot_id)
+        if not self._transport.send(header.drone, seal_ack(ack)):
+            self._metrics.unsent.inc()
+
+    def answer(self, arrival: Arrival, output: Output) -> None:
+        """Send the one result of a frame."""
+        header = arrival.packed.header
+        t3_ns = self._clock.now_ns()
+        result = Result(
+            drone=header.drone,
+            boot_id=header.boot_id,
+            sequence=header.sequence,
+            t_capture_ns=header.t_capture_ns,
+            t1_ns=header.t1_ns,
+            t2_ns=arrival.t2_ns,
+            t3_ns=t3_ns,
+            worker=self._worker,
+            worker_boot_id=self._boot_id,
+            outcome=output.outcome,
+            reason=output.reason,
+            target=None if output.found is None else target_pose_message(output.found),
+            stages_ns=output.stages_ns,
+            model=self._model_hash,
+            draining=self.draining,
+        )
+        if not self._transport.send(header.drone, seal_result(result)):
+            self._metrics.unsent.inc()
+        self._metrics.answered(output, t3_ns - arrival.t2_ns)
+
+
+def target_pose_message(found: Found) -> TargetPose:
+    """A target as it goes over the wire."""
+    localisation = found.localisation
+    world = found.world_from_target
+    fold = localisation.alternative
+    return TargetPose(
+        camera_from_target=pose_numbers(localisation.camera_from_target),
+        world_from_target=None if world is None else pose_numbers(world),
+        covariance=pack_covariance(localisation.covariance),
+        method=localisation.method.value,
+        ambiguous=localisation.ambiguous,
+        alternative=None if fold is None else pose_numbers(fold),
+        score=float(found.candidate.score),
+        boxes=tuple(
+            LevelBox(
+                level.value,
+                float(box.x0),
+                float(box.y0),
+                float(box.x1),
+                float(box.y1),
+                float(box.score),
+            )
+            for level, box in found.candidate.boxes.items()
+        ),
+    )

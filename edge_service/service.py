@@ -1,0 +1,80 @@
+"""The frame path as a whole: brings its parts up in order, and down again without losing a frame.
+
+Up: link open -> worker -> token announced. Down: token withdrawn -> new frames are told DRAINING,
+those that wait are answered -> link closed.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable
+
+from edge_service.intake import ANSWERS, Intake
+from edge_service.mailbox import Verdict
+from edge_service.pipeline import Pipeline
+from edge_service.replies import Replies
+from edge_service.settings import EdgeSettings
+from edge_service.state import ServiceState
+from edge_service.transport import Transport
+from edge_service.worker import Worker
+from rgbd_wire.clock import Clock
+
+LINGER_S = 0.25
+"""After the token is down: what is on its way by then is still told to go elsewhere."""
+
+
+class EdgeService:
+    """From the link to the answer, without the HTTP side and the process around it."""
+
+    def __init__(
+        self,
+        settings: EdgeSettings,
+        pipeline: Pipeline,
+        transport: Transport,
+        state: ServiceState,
+        clock: Clock,
+    ) -> None:
+        self._settings = settings
+        self._transport = transport
+        self._state = state
+        model_hash = pipeline.detector.model_hash
+        metrics, mailbox = state.metrics, state.mailbox
+        boot_id = secrets.randbits(63)
+        self._replies = Replies(settings.name, boot_id, model_hash, transport, metrics, clock)
+        self._intake = Intake(mailbox, self._replies, metrics, clock)
+        self._worker = Worker(mailbox, pipeline, self._replies, clock)
+        metrics.describe(settings.name, model_hash)
+        state.pipeline = pipeline
+
+    def start(self) -> None:
+        """Open the link, serve, and say so.
+
+        Raises:
+            AddressError: the link's address cannot be used.
+        """
+        self._transport.start(self._intake.on_frame)
+        self._state.transport = self._transport
+        self._worker.start()
+        self._state.worker = self._worker
+        self._transport.announce()
+
+    def drain(self, wait: Callable[[float], None]) -> bool:
+        """Answer what is there, turn away what comes, and close the link; within ``drain_s``.
+
+        Args:
+            wait: sleeps for so long [s].
+
+        Returns:
+            Whether every frame has been worked on; False: the worker was stuck or too slow, and
+            what still waited was told to go elsewhere.
+        """
+        self._state.draining = True
+        self._replies.draining = True
+        self._transport.withdraw()
+        self._state.mailbox.close()
+        finished = self._worker.join(self._settings.drain_s)
+        for arrival in self._state.mailbox.empty():
+            self._replies.answer(arrival, ANSWERS[Verdict.CLOSED])
+        wait(min(LINGER_S, self._settings.drain_s))
+        self._transport.close()
+        return finished

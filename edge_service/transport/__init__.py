@@ -1,0 +1,44 @@
+"""Where frames come in and answers go out; one implementation per network, one for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol, TypeAlias
+
+OnFrame: TypeAlias = Callable[[bytes | memoryview, int], None]
+"""Takes the bytes of one message and t2, the worker's monotonic time [ns] of its last byte.
+
+It is called from the network's own threads, maybe from several at once, and never raises."""
+
+
+class Transport(Protocol):
+    """A worker's side of the link to its drones; all methods may be called from any thread."""
+
+    @property
+    def is_open(self) -> bool:
+        """Frames can come in: the listeners stand, or the router is connected."""
+        ...
+
+    def start(self, on_frame: OnFrame) -> None:
+        """Open the link and hand over every message that arrives.
+
+        Raises:
+            AddressError: an address cannot be used; says which one and why.
+        """
+        ...
+
+    def announce(self) -> None:
+        """Tell drones that this worker takes frames."""
+        ...
+
+    def withdraw(self) -> None:
+        """Tell drones to go elsewhere; the link stays open for what is on its way."""
+        ...
+
+    def send(self, drone: str, payload: bytes) -> bool:
+        """Send an ack or a result to a drone; False: the link is closed, nothing was sent."""
+        ...
+
+    def close(self) -> None:
+        """Close the link; nothing is handed over afterwards. May be called twice."""
+        ...

@@ -1,0 +1,60 @@
+"""A transport without a network: what tests hand frames to and read answers from."""
+
+from __future__ import annotations
+
+from edge_service.transport import OnFrame
+from rgbd_wire.envelope import Kind, unseal
+from rgbd_wire.messages import Ack, Result, decode_ack, decode_result
+
+
+class MemoryTransport:
+    """Keeps what was sent, in order, as it would arrive at the drones."""
+
+    def __init__(self) -> None:
+        self.announced = False
+        self.sent: list[tuple[str, Ack | Result]] = []
+        """Drone and message."""
+        self._on_frame: OnFrame | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Between ``start`` and ``close``."""
+        return self._on_frame is not None
+
+    def start(self, on_frame: OnFrame) -> None:
+        """Open it."""
+        self._on_frame = on_frame
+
+    def deliver(self, data: bytes | memoryview, t2_ns: int) -> None:
+        """Hand over one message, as if it had come in at ``t2_ns``."""
+        assert self._on_frame is not None, "deliver after start and before close"
+        self._on_frame(data, t2_ns)
+
+    def announce(self) -> None:
+        """Note it."""
+        self.announced = True
+
+    def withdraw(self) -> None:
+        """Note it."""
+        self.announced = False
+
+    def send(self, drone: str, payload: bytes) -> bool:
+        """Decode the message as a drone would, and keep it."""
+        if not self.is_open:
+            return False
+        kind, body = unseal(payload, Kind.ACK, Kind.RESULT)
+        message = decode_ack(body) if kind is Kind.ACK else decode_result(body)
+        self.sent.append((drone, message))
+        return True
+
+    def close(self) -> None:
+        """Close it."""
+        self._on_frame = None
+
+    def acks(self) -> list[Ack]:
+        """All acks so far."""
+        return [m for _, m in self.sent if isinstance(m, Ack)]
+
+    def results(self) -> list[Result]:
+        """All results so far."""
+        return [m for _, m in self.sent if isinstance(m, Result)]
