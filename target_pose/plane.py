@@ -18,7 +18,7 @@ MIN_INLIER_SHARE = 0.4
 """Of the depth points on the board that must lie on one plane."""
 SCALE_SIGMA = 4e-3
 """Relative error of a stereo camera's depth scale, alike in all points of a frame."""
-TILT_SIGMA_RAD = 2e-3
+TILT_SIGMA_RAD = 6e-3
 """Warp of the depth image across a target, alike in all points of a frame."""
 NOISE_FLOOR = 2e-4
 """Least standard deviation of inverse depth [1/m] believed; a step of 1 mm at 1.5 m has 1.3e-4."""

@@ -1,0 +1,408 @@
+"""From a candidate's boxes to the target's pose: a ladder from the best evidence to the weakest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
+from target_pose.align import depth_points_in_box
+from target_pose.box_guess import BoxGuess, box_guesses
+from target_pose.candidate import Box, Candidate
+from target_pose.circle_edges import board_axes, printed_circles
+from target_pose.circles import SeenCircles, find_circle, fit_fold, measure_circles
+from target_pose.conic import CirclePose
+from target_pose.covariance import (
+    covariance_along,
+    covariance_from_information,
+    floored,
+    pose_offset,
+    widened,
+)
+from target_pose.fusion import CircleFit, plane_error
+from target_pose.lens import project, rays_from_pixels
+from target_pose.localisation import Localisation, Method, Refusal
+from target_pose.plane import InverseDepthPlane, fit_plane, plane_scatter
+from target_pose.roll import Roll, find_roll, hinted_roll, rolled_pose
+from target_pose.target import Target
+
+Array: TypeAlias = NDArray[np.float64]
+
+MIN_DISC_PX = 8.0
+"""Least width of the outer disc."""
+MAX_TILT_RAD = math.radians(72.0)
+"""Past it the ellipse's minor axis, and with it tilt and range, are lost in the blur."""
+BOARD_SHARE = 0.9
+"""Part of the board's half side within which depth is taken: its rim mixes with what is behind."""
+GATE = 25.0
+"""Chi square, three degrees of freedom, past which plane and circles contradict each other. The
+99.9 % point is 16.3; the noise of neither is quite Gaussian."""
+GROSS_RATIO = 1.15
+"""Ratio of the two ranges past which one of them must be a blunder."""
+GROSS_BOX_RATIO = 1.7
+"""The same for the range after a box's size: a board rolled by 45 degrees has a box 1.41 wider."""
+SURE_FOLD = 9.0
+"""By how much chi square must tell the folds apart."""
+SAME_FOLD_RAD = math.radians(3.0)
+BOX_SIZE_SHARE = 0.03
+"""Standard deviation of a box's sides and centre over its size: a detector's regression."""
+BOX_SIZE_PX = 1.5
+BOX_TILT_SIGMA_RAD = math.radians(35.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """One candidate's picture, checked."""
+
+    image: NDArray[np.uint8]  # (H, W), grey
+    camera: RgbdCamera
+    target: Target
+    guesses: list[BoxGuess]
+    up_camera: Array | None  # (3,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Depth:
+    """The board's plane in the depth."""
+
+    plane: InverseDepthPlane
+    rms_m: float
+
+
+def localise(
+    color_rgb: NDArray[np.uint8],
+    depth_units: NDArray[np.uint16] | None,
+    camera: RgbdCamera,
+    candidate: Candidate,
+    target: Target,
+    up_camera: Array | None = None,
+) -> Localisation | Refusal:
+    """Where one candidate's target is, with what certainty and from what; or why it is not known.
+
+    Args:
+        color_rgb: (H, W, 3) as ``camera.color`` has it.
+        depth_units: (h, w) raw depth as ``camera.depth`` has it, 0 for none; None without depth.
+        camera: The rig.
+        candidate: Boxes in the colour picture.
+        target: What was printed.
+        up_camera: (3,) the world's up in the camera frame, any length, if known: fixes the roll.
+
+    Returns:
+        The pose, or a ``Refusal``; nothing that a camera or a detector can send makes it raise.
+    """
+    view = _checked(color_rgb, depth_units, camera, candidate, target, up_camera)
+    if isinstance(view, Refusal):
+        return view
+    circles = printed_circles(target)
+    rough = find_circle(view.image, camera.color, circles[0], view.guesses)
+    outline = None if rough is None else rough.folds[0]
+    depth = None if depth_units is None else _board_plane(depth_units, view, outline)
+    seen = None
+    if rough is not None:
+        normal = None if depth is None else depth.plane.normal
+        seen = measure_circles(view.image, camera.color, circles, rough, normal)
+    free = None if seen is None else _free_fit(seen, camera.color)
+    if seen is None or free is None:
+        return _by_depth(view, depth) if depth is not None else _by_box(view)
+    if depth is None:
+        return _by_ellipse(view, seen, free)
+    return _fused(view, seen, free, depth)
+
+
+def _checked(
+    color_rgb: NDArray[np.uint8],
+    depth_units: NDArray[np.uint16] | None,
+    camera: RgbdCamera,
+    candidate: Candidate,
+    target: Target,
+    up_camera: Array | None,
+) -> _View | Refusal:
+    color, raw = camera.color, camera.depth
+    if color_rgb.shape != (color.height, color.width, 3) or color_rgb.dtype != np.uint8:
+        return Refusal.BAD_INPUT
+    if depth_units is not None and (
+        depth_units.shape != (raw.height, raw.width) or depth_units.dtype != np.uint16
+    ):
+        return Refusal.BAD_INPUT
+    up = None
+    if up_camera is not None:
+        up = np.asarray(up_camera, dtype=np.float64)
+        if up.shape != (3,):
+            return Refusal.BAD_INPUT
+        with np.errstate(over="ignore"):
+            usable = 1e-6 < float(np.linalg.norm(up)) < 1e6  # false for NaN, too
+        up = up if usable else None
+    guesses = box_guesses(candidate, target, color)
+    if not guesses:
+        return Refusal.BAD_BOX
+    if max(guess.width_px for guess in guesses) < MIN_DISC_PX:
+        return Refusal.TOO_SMALL
+    centers = np.array([guess.disc.center_px for guess in guesses])
+    if not np.isfinite(rays_from_pixels(centers, color)).all():
+        return Refusal.BAD_INTRINSICS
+    image = np.asarray(cv2.cvtColor(color_rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+    return _View(image, camera, target, guesses, up)
+
+
+def _board_plane(
+    depth_units: NDArray[np.uint16], view: _View, board: CirclePose | None
+) -> _Depth | None:
+    """The plane of the depth on the board, or within the first guess where no board is known."""
+    if board is not None:
+        box = _board_box(view, board)
+    else:
+        (u, v), (a, b) = view.guesses[0].disc.center_px, view.guesses[0].disc.semi_axes_px
+        box = Box(u - a, v - b, u + a, v + b, 0.0)
+    if box is None:
+        return None
+    found = depth_points_in_box(depth_units, view.camera, box)
+    points = found.points
+    if not len(points):
+        return None
+    if board is None:
+        inside = np.square((found.uv_px - (u, v)) / (a, b)).sum(axis=1) < 1
+    else:
+        # by the ray and not by the point, whose depth is what is to be judged
+        rays = points / points[:, 2:]
+        facing = rays @ board.normal
+        stretch = float(board.normal @ board.center) / np.minimum(facing, -1e-6)
+        off = np.linalg.norm(rays * stretch[:, None] - board.center, axis=1)
+        inside = off < BOARD_SHARE * view.target.board_side_m / 2
+    points = points[inside]
+    plane = fit_plane(points)
+    return None if plane is None else _Depth(plane, plane_scatter(plane, points))
+
+
+def _board_box(view: _View, board: CirclePose) -> Box | None:
+    """The box of the largest circle on the board."""
+    right, up = board_axes(board.normal)
+    angle = np.arange(24) * (2 * math.pi / 24)
+    rim = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up
+    uv = project(board.center + BOARD_SHARE * view.target.board_side_m / 2 * rim, view.camera.color)
+    if not np.isfinite(uv).all():
+        return None
+    (x0, y0), (x1, y1) = uv.min(axis=0), uv.max(axis=0)
+    return Box(float(x0), float(y0), float(x1), float(y1), 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FreeFit:
+    """The circles' pose without any depth, in one fold, and the start of the other one."""
+
+    fit: CircleFit
+    other: CirclePose
+
+
+def _free_fit(seen: SeenCircles, intrinsics: CameraIntrinsics) -> _FreeFit | None:
+    """In the first fold, or in the second where the inner circles rule the first one out."""
+    for start, other in (seen.folds, seen.folds[::-1]):
+        fit = fit_fold(seen, intrinsics, start)
+        if fit is not None:
+            return _FreeFit(fit, other)
+    return None
+
+
+def _fused(view: _View, seen: SeenCircles, free: _FreeFit, depth: _Depth) -> Localisation | Refusal:
+    """Circles and plane together, if they agree; else the circles, or a refusal."""
+    plane, nearest = depth.plane, free.fit
+    range_ellipse = float(np.linalg.norm(nearest.pose.center))
+    range_plane = _range(plane, nearest.pose.center)
+    if not 1 / GROSS_RATIO < range_plane / range_ellipse < GROSS_RATIO:
+        return Refusal.INCONSISTENT
+    fused = fit_fold(seen, view.camera.color, nearest.pose, plane)
+    if fused is None or _strain(fused, nearest, plane) > GATE:
+        return _by_ellipse(view, seen, free, depth)
+    return _concluded(
+        view,
+        fused,
+        Method.FUSED,
+        alternative=free.other,
+        ranges=(range_ellipse, range_plane),
+        depth=depth,
+    )
+
+
+def _strain(fused: CircleFit, free: CircleFit, plane: InverseDepthPlane) -> float:
+    """Chi square by which plane and circles lose when they have to share one pose."""
+    error, _ = plane_error(plane, *fused.pose)
+    lost = fused.cost(free.sigma_px) - free.cost(free.sigma_px)
+    return float(error @ plane.information @ error) + lost
+
+
+def _by_ellipse(
+    view: _View, seen: SeenCircles, free: _FreeFit, contradicting: _Depth | None = None
+) -> Localisation | Refusal:
+    """The circles alone. Which fold it is, the inner circles tell where they are large enough."""
+    best = first = free.fit
+    second = fit_fold(seen, view.camera.color, free.other)
+    share = 0.0
+    if second is not None:
+        behind = second.cost(first.sigma_px) - first.cost(first.sigma_px)
+        if behind < 0:
+            best, second = second, first
+        apart = _angle(first.pose.normal, second.pose.normal) > SAME_FOLD_RAD
+        if apart and abs(behind) < SURE_FOLD:
+            share = 1 / (1 + math.exp(abs(behind) / 2))
+    range_ellipse = float(np.linalg.norm(best.pose.center))
+    range_plane = None
+    if contradicting is not None:
+        range_plane = _range(contradicting.plane, best.pose.center)
+    return _concluded(
+        view,
+        best,
+        Method.ELLIPSE,
+        alternative=free.other if second is None else second.pose,
+        alternative_share=share,
+        ranges=(range_ellipse, range_plane),
+        depth=contradicting,
+    )
+
+
+def _concluded(
+    view: _View,
+    fit: CircleFit,
+    method: Method,
+    *,
+    alternative: CirclePose | None,
+    ranges: tuple[float, float | None],
+    depth: _Depth | None,
+    alternative_share: float = 0.0,
+) -> Localisation | Refusal:
+    """Add the roll, and the covariance of everything that is not sure."""
+    if _tilt(fit.pose) > MAX_TILT_RAD:
+        return Refusal.GRAZING
+    roll = _roll(view, fit.pose)
+    pose = rolled_pose(fit.pose, roll.up)
+    covariance = covariance_from_information(
+        fit.information, fit.pose.normal, fit.pose.center, roll.sigma_rad
+    )
+    other = None if alternative is None else rolled_pose(alternative, roll.up)
+    if other is not None and alternative_share:
+        covariance = widened(covariance, pose_offset(pose, other), alternative_share)
+    contradicts = depth is not None and method is Method.ELLIPSE
+    if contradicts and ranges[1] is not None:
+        offset = np.zeros(6)
+        offset[:3] = fit.pose.center * (ranges[1] / ranges[0] - 1)
+        covariance = widened(covariance, offset)
+    return Localisation(
+        camera_from_target=pose,
+        covariance=floored(covariance),
+        method=method,
+        roll_source=roll.source,
+        alternative=other,
+        ambiguous=alternative_share > 0,
+        range_ellipse_m=ranges[0],
+        range_plane_m=ranges[1],
+        ellipse_rms_px=fit.rms_px,
+        ellipse_points=int(np.count_nonzero(fit.inliers)),
+        plane_inliers=0 if depth is None else depth.plane.inliers,
+        plane_rms_m=None if depth is None else depth.rms_m,
+        depth_contradicts=contradicts,
+    )
+
+
+def _by_depth(view: _View, depth: _Depth) -> Localisation | Refusal:
+    """The plane, where the box's bearing meets it."""
+    guess = view.guesses[0]
+    ray = _ray(view.camera.color, guess)
+    z = depth.plane.depth_along(ray)
+    if not math.isfinite(z):
+        return Refusal.BEHIND_CAMERA
+    board = CirclePose(ray * z, depth.plane.normal)
+    if _tilt(board) > MAX_TILT_RAD:
+        return Refusal.GRAZING
+    range_m = float(np.linalg.norm(board.center))
+    if guess.sized:
+        ratio = range_m / _box_range(view, guess)
+        if not 1 / GROSS_BOX_RATIO < ratio < GROSS_BOX_RATIO:
+            return Refusal.INCONSISTENT
+    roll = hinted_roll(board, view.up_camera)
+    lateral = _box_sigma_px(guess) * range_m / _focal(view.camera.color)
+    _, jacobian = plane_error(depth.plane, *board)
+    # the plane fixes range and normal, the box the two directions across the line of sight
+    line = board.center / range_m
+    information = jacobian.T @ depth.plane.information @ jacobian
+    information[:3, :3] += (np.eye(3) - np.outer(line, line)) / lateral**2
+    return Localisation(
+        camera_from_target=rolled_pose(board, roll.up),
+        covariance=covariance_from_information(
+            information, board.normal, board.center, roll.sigma_rad
+        ),
+        method=Method.DEPTH,
+        roll_source=roll.source,
+        range_plane_m=range_m,
+        plane_inliers=depth.plane.inliers,
+        plane_rms_m=depth.rms_m,
+    )
+
+
+def _by_box(view: _View) -> Localisation | Refusal:
+    """Bearing and size of the box; the board is taken to face the camera."""
+    sized = [guess for guess in view.guesses if guess.sized]
+    if not sized:
+        return Refusal.NO_EVIDENCE
+    guess = sized[0]
+    ray = _ray(view.camera.color, guess)
+    line = ray / np.linalg.norm(ray)
+    range_m = _box_range(view, guess)
+    board = CirclePose(line * range_m, -line)
+    roll = hinted_roll(board, view.up_camera)
+    sigma_px = _box_sigma_px(guess)
+    covariance = covariance_along(
+        board.center,
+        board.normal,
+        # a rolled board's box is up to 1.41 too wide; tilt hides in perspective
+        range_sigma_m=range_m * math.hypot(0.1, 2 * sigma_px / guess.width_px),
+        lateral_sigma_m=sigma_px * range_m / _focal(view.camera.color),
+        tilt_sigma_rad=BOX_TILT_SIGMA_RAD,
+        roll_sigma_rad=roll.sigma_rad,
+    )
+    return Localisation(
+        camera_from_target=rolled_pose(board, roll.up),
+        covariance=covariance,
+        method=Method.BOX,
+        roll_source=roll.source,
+    )
+
+
+def _roll(view: _View, board: CirclePose) -> Roll:
+    return find_roll(view.image, view.camera.color, board, view.target, view.up_camera)
+
+
+def _tilt(board: CirclePose) -> float:
+    """Angle [rad] between the board's normal and the line of sight."""
+    return _angle(board.normal, -board.center / np.linalg.norm(board.center))
+
+
+def _angle(a: Array, b: Array) -> float:
+    return math.acos(min(max(float(a @ b), -1.0), 1.0))
+
+
+def _range(plane: InverseDepthPlane, center: Array) -> float:
+    """Distance [m] to the plane along the bearing of a point (3,)."""
+    ray = center / center[2]
+    return plane.depth_along(ray) * float(np.linalg.norm(ray))
+
+
+def _ray(intrinsics: CameraIntrinsics, guess: BoxGuess) -> Array:
+    xy = rays_from_pixels(np.array([guess.disc.center_px]), intrinsics)[0]
+    return np.array([xy[0], xy[1], 1.0])
+
+
+def _focal(intrinsics: CameraIntrinsics) -> float:
+    return math.sqrt(intrinsics.fx * intrinsics.fy)
+
+
+def _box_range(view: _View, guess: BoxGuess) -> float:
+    return view.target.discs[0].diameter_m * _focal(view.camera.color) / guess.width_px
+
+
+def _box_sigma_px(guess: BoxGuess) -> float:
+    sigma = math.hypot(BOX_SIZE_PX, BOX_SIZE_SHARE * guess.width_px)
+    # a completed box hides its centre, not only its edges
+    return sigma + (0.25 * guess.width_px if guess.cut else 0.0)

@@ -1,0 +1,186 @@
+"""The rotation about the board's normal, which its circles do not show."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_wire.camera import CameraIntrinsics
+from rgbd_wire.geometry import Pose
+from target_pose.conic import CirclePose
+from target_pose.lens import project
+from target_pose.localisation import RollSource
+from target_pose.profiles import gray_values, slopes, strongest_edges
+from target_pose.target import Target
+from target_pose.tukey import fit_robust
+
+Array: TypeAlias = NDArray[np.float64]
+
+GRAVITY_SIGMA_RAD = math.radians(3.0)
+"""An accelerometer in flight, and a board hung by eye."""
+ASSUMED_SIGMA_RAD = math.radians(30.0)
+EDGE_FLOOR_RAD = math.radians(0.3)
+"""How square a board is cut to its print."""
+MIN_UP_SINE = 0.35
+"""Sine of the angle between up and normal under which a board has no upper edge: 20 degrees."""
+MIN_BOARD_PX = 24.0
+RAYS = 96
+SAMPLES = 40
+MIN_SLOPE = 1.0
+"""Mean slope across the edges, in grey values per sample, that counts as an edge."""
+MIN_LEAD = 1.25
+"""By how much the best roll must beat those that are far from it."""
+MAX_TURN = math.radians(40.0)
+"""An edge nearer than 5 degrees to halfway between two upper edges tells neither apart."""
+
+
+class Roll(NamedTuple):
+    """Where up is on the board."""
+
+    up: Array  # (3,)
+    """Unit vector along the board, camera frame: the target frame's z."""
+    sigma_rad: float
+    source: RollSource
+
+
+def find_roll(
+    image: NDArray[np.uint8],
+    intrinsics: CameraIntrinsics,
+    board: CirclePose,
+    target: Target,
+    up_camera: Array | None,
+) -> Roll:
+    """From the board's edges, else from gravity, else from the camera's own up.
+
+    Edges leave four answers a quarter turn apart; the one nearest to gravity (or to the camera's
+    up) is taken.
+    """
+    hint = hinted_roll(board, up_camera)
+    right = np.cross(hint.up, board.normal)
+    turn = _edge_turn(image, intrinsics, board, target, (right, hint.up))
+    if turn is None:
+        return hint
+    angle, sigma = turn
+    up = math.cos(angle) * hint.up + math.sin(angle) * right
+    return Roll(up, math.hypot(sigma, EDGE_FLOOR_RAD), RollSource.EDGES)
+
+
+def hinted_roll(board: CirclePose, up_camera: Array | None) -> Roll:
+    """The roll of a board that hangs upright, or as upright as the camera is held."""
+    if up_camera is not None:
+        length = float(np.linalg.norm(up_camera))
+        if length > 1e-6:
+            up = _along_board(board.normal, up_camera / length)
+            if up is not None:
+                return Roll(up, GRAVITY_SIGMA_RAD, RollSource.GRAVITY)
+    for axis in (np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])):
+        up = _along_board(board.normal, axis)
+        if up is not None:
+            return Roll(up, ASSUMED_SIGMA_RAD, RollSource.ASSUMED)
+    raise AssertionError("one of two orthogonal axes is not along the normal")
+
+
+def rolled_pose(board: CirclePose, up: Array) -> Pose:
+    """``camera_from_target`` of a board whose z axis is ``up`` laid onto it."""
+    z = up - board.normal * float(up @ board.normal)
+    z /= np.linalg.norm(z)
+    rotation = np.column_stack([board.normal, np.cross(z, board.normal), z])
+    return Pose.from_rotation(rotation, board.center)
+
+
+def _along_board(normal: Array, up: Array) -> Array | None:
+    along = up - normal * float(normal @ up)
+    sine = float(np.linalg.norm(along))
+    return np.asarray(along / sine) if sine >= MIN_UP_SINE else None
+
+
+def _edge_turn(
+    image: NDArray[np.uint8],
+    intrinsics: CameraIntrinsics,
+    board: CirclePose,
+    target: Target,
+    axes: tuple[Array, Array],
+) -> tuple[float, float] | None:
+    """Turn [rad] from up towards right that lays the board's square on its edges, and its sigma.
+
+    Rays from the centre cross a square's edge at half a side over the cosine of their angle to
+    the side's normal. The turn whose four edges have the largest mean slopes is refined by a
+    robust fit to the crossings near it.
+    """
+    half = target.board_side_m / 2
+    px_per_m = math.sqrt(intrinsics.fx * intrinsics.fy) / float(np.linalg.norm(board.center))
+    if 2 * half * px_per_m < MIN_BOARD_PX:
+        return None
+    inner = 0.5 * (half + target.discs[0].diameter_m / 2)
+    radii = np.linspace(inner, 1.5 * half, SAMPLES)
+    right, up = axes
+    rim = np.cos(_ANGLES)[:, None] * up + np.sin(_ANGLES)[:, None] * right
+    points = board.center + radii[None, :, None] * rim[:, None, :]
+    uv = project(points.reshape(-1, 3), intrinsics).reshape(RAYS, SAMPLES, 2)
+    slope = slopes(gray_values(image, uv))
+    seen = np.isfinite(slope).all(axis=1)
+    if np.count_nonzero(seen) < 0.7 * RAYS:
+        return None
+    slope = np.where(seen[:, None], slope, 0.0)
+    first = (SAMPLES - slope.shape[1]) // 2
+    step = float(radii[1] - radii[0])
+    crossing = half / np.cos(_OFF_NORMAL)
+    index = np.clip(np.rint((crossing - radii[0]) / step).astype(np.intp) - first, 0, None)
+    index = np.minimum(index, slope.shape[1] - 1)
+    across = slope[_ROWS, index]
+    sides = (_ON_SIDE * across).sum(axis=2).T / (RAYS / 4)
+    score = np.abs(sides).mean(axis=1)
+    best = int(score.argmax())
+    away = np.abs((_TURNS - _TURNS[best] + math.pi / 4) % (math.pi / 2) - math.pi / 4)
+    rival = float(score[away > math.radians(12)].max())
+    if score[best] < MIN_SLOPE or score[best] < MIN_LEAD * rival:
+        return None
+    return _refined(slope, seen, best, sides[best], radii[first], step, half)
+
+
+def _refined(
+    slope: Array,
+    seen: NDArray[np.bool_],
+    best: int,
+    sides: Array,
+    first_radius: float,
+    step: float,
+    half: float,
+) -> tuple[float, float] | None:
+    """The turn [rad] fitted to the crossings near a candidate's edges, and its deviation."""
+    off_normal = _OFF_NORMAL[best]
+    crossing = half / np.cos(off_normal)
+    signs = np.sign(sides)[_SIDE_OF[best]]
+    offset = np.arange(slope.shape[1]) * step + first_radius - crossing[:, None]
+    window = np.where(np.abs(offset) < 5 * step, slope * signs[:, None], 0.0)
+    edges = strongest_edges(window)
+    reach = (edges.at - (SAMPLES - slope.shape[1]) // 2) * step + first_radius
+    known = np.isfinite(reach) & seen
+    if np.count_nonzero(known) < RAYS / 3:
+        return None
+    # the distance of each crossing from its side's line, against turn and a common margin
+    miss = reach[known] * np.cos(off_normal[known]) - half
+    lever = reach[known] * np.sin(off_normal[known])  # miss = -turn * lever to first order
+    design = np.stack([lever, np.ones_like(lever)], axis=1)
+    fit = fit_robust(design, miss, np.zeros(2), 0.05 * step)
+    used = np.count_nonzero(fit.weights)
+    if used < RAYS / 4:
+        return None
+    turn = float(_TURNS[best] - fit.coefficients[0])
+    if abs(turn) > MAX_TURN:
+        return None
+    sigma = fit.sigma / math.sqrt(float(fit.weights @ np.square(lever)) + 1e-12)
+    return turn, sigma
+
+
+_ANGLES = np.arange(RAYS) * (2 * math.pi / RAYS)
+_TURNS = np.radians(np.arange(-45.0, 45.0, 1.5))
+_ROWS = np.arange(RAYS)
+# the angle of each ray to the normal of the side that it crosses, and that side, per turn
+_FROM_TURN = (_ANGLES[None, :] - _TURNS[:, None] + math.pi / 4) % (2 * math.pi)
+_SIDE_OF = np.minimum((_FROM_TURN / (math.pi / 2)).astype(np.intp), 3)
+_OFF_NORMAL = _FROM_TURN - _SIDE_OF * (math.pi / 2) - math.pi / 4
+_ON_SIDE = np.arange(4)[:, None, None] == _SIDE_OF
