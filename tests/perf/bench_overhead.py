@@ -12,18 +12,13 @@ be compared between machines.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import multiprocessing as mp
 import queue
 import socket
 import struct
-import subprocess
-import sys
 import tempfile
 import time
-import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -38,41 +33,12 @@ from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.frame_codec import FrameStamp, compress, pack
 from rgbd_wire.messages import seal_result
+from tests.service_process import service_process
 
 RECORDING = Path(__file__).parents[2] / "examples/recordings/rendered-approach"
 STAGES = ("decode", "detect", "nest", "localise")
 WARM_UP = 10
 _SIZES = struct.Struct("<II")
-
-
-def free_port() -> int:
-    """A TCP port that is free now."""
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
-
-
-@contextlib.contextmanager
-def edge_service() -> Iterator[str]:
-    """A real service process; gives its Zenoh endpoint once it is ready."""
-    zenoh, http = f"tcp/127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
-    command = [str(Path(sys.executable).with_name("edge-service")), "serve"]
-    options = ["--listen", zenoh, "--http", http, "--name", "bench"]
-    with tempfile.TemporaryFile() as log:
-        process = subprocess.Popen(command + options, stdout=log, stderr=log)
-        try:
-            for _ in range(600):
-                with contextlib.suppress(OSError):
-                    urllib.request.urlopen(f"http://{http}/readyz", timeout=1)
-                    break
-                if process.poll() is not None:
-                    log.seek(0)
-                    raise SystemExit(f"the service ended early:\n{log.read().decode()}")
-                time.sleep(0.1)
-            yield zenoh
-        finally:
-            process.terminate()
-            process.wait(30)
 
 
 def _echo(listener: socket.socket) -> None:
@@ -123,6 +89,7 @@ def measure(endpoint: str, recording: Path, frames: int, rate_hz: float) -> dict
     link.start(receiver.on_message)
     while not link.workers():
         time.sleep(0.02)
+    (worker,) = link.workers()
     source = ReplaySource(recording, load_camera(recording / "camera.json"))
     captures = list(source.captures())
     rows: dict[str, list[float]] = {k: [] for k in ("round trip", *STAGES, "overhead", "raw tcp")}
@@ -135,8 +102,8 @@ def measure(endpoint: str, recording: Path, frames: int, rate_hz: float) -> dict
         compressed = compress(frame)
         t1_ns = clock.now_ns()
         message = pack(compressed, FrameStamp("bench", 1, sequence, t1_ns, second_ns))
-        receiver.sending(SentFrame(sequence, frame.t_capture_ns, t1_ns, "bench"))
-        link.send("bench", message)
+        receiver.sending(SentFrame(sequence, frame.t_capture_ns, t1_ns, worker))
+        link.send(worker, message)
         reception = answers.get(timeout=10)
         result = reception.result
         raw_ns = raw.round_trip_ns(message, len(seal_result(result)))
@@ -162,8 +129,8 @@ def main() -> None:
     parser.add_argument("--recording", type=Path, default=RECORDING)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    with edge_service() as endpoint:
-        rows = measure(endpoint, options.recording, options.frames, options.rate)
+    with tempfile.TemporaryDirectory() as folder, service_process(Path(folder)) as service:
+        rows = measure(service.endpoint, options.recording, options.frames, options.rate)
     spreads = {
         name: dict(
             zip(("p05", "p50", "p95", "p99"), np.percentile(v, [5, 50, 95, 99]), strict=True)

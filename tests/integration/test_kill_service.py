@@ -1,0 +1,127 @@
+"""The service is killed in mid-replay and started again: the drone holds, counts and comes back."""
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.service_process import ServiceProcess
+
+RECORDING = Path(__file__).parents[2] / "examples/recordings/rendered-approach"
+REPEATS = 4
+"""The shipped recording is short; it is laid end to end so that the service has time to return."""
+
+
+def long_recording(folder: Path) -> Path:
+    """The shipped recording, several times over, forth and back."""
+    folder.mkdir()
+    (folder / "camera.json").write_bytes((RECORDING / "camera.json").read_bytes())
+    lists = {name: [] for name in ("rgb.txt", "depth.txt", "groundtruth.txt")}
+    for name, lines in lists.items():
+        rows = [
+            line.split(maxsplit=1)
+            for line in (RECORDING / name).read_text().splitlines()
+            if not line.startswith("#")
+        ]
+        start, end = float(rows[0][0]), float(rows[-1][0])
+        period = end - start + 0.1
+        for repeat in range(REPEATS):
+            for t, rest in rows if repeat % 2 == 0 else reversed(rows):
+                along = float(t) - start if repeat % 2 == 0 else end - float(t)
+                lines.append(f"{1000 + repeat * period + along:.6f} {rest}")
+        (folder / name).write_text("\n".join(lines) + "\n")
+    for name in ("rgb", "depth"):
+        (folder / name).symlink_to(RECORDING / name)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """A replay during which the service is gone for a while; ledger, ticks, events, summary."""
+    folder = tmp_path_factory.mktemp("kill")
+    recording = long_recording(folder / "recording")
+    out = folder / "run"
+    service = ServiceProcess(folder)
+    service.start()
+    service.wait_ready()
+    client = Path(sys.executable).with_name("drone-client")
+    command = [client, "replay", recording, "--connect", service.endpoint, "--out", out]
+    command += ["--tau-max-ms", "400", "--age-max-ms", "500", "--no-plot"]
+
+    def accepted() -> int:
+        ledger = out / "ledger.jsonl"
+        return ledger.read_text().count('"verdict": "accepted"') if ledger.exists() else 0
+
+    process = subprocess.Popen(command)
+    try:
+        give_up = time.monotonic() + 60
+        while accepted() < 20 and time.monotonic() < give_up:
+            time.sleep(0.02)
+        killed_ns = time.monotonic_ns()
+        service.kill()
+        restart = threading.Timer(1.2, service.start)
+        restart.start()
+        restart.join()
+        assert process.wait(120) == 0
+    finally:
+        process.kill()
+        if service.process.poll() is None:
+            service.kill()
+
+    def lines(name: str) -> list[dict]:
+        return [json.loads(line) for line in (out / name).open()]
+
+    summary = json.loads((out / "summary.json").read_text())
+    return {
+        "killed_ns": killed_ns,
+        "frames": lines("ledger.jsonl"),
+        "ticks": lines("ticks.jsonl"),
+        "events": lines("events.jsonl"),
+        "summary": summary,
+    }
+
+
+def test_ledger_has_each_frame_once(flight):
+    """Whatever became of it, a captured frame has exactly one line."""
+    sequences = sorted(f["sequence"] for f in flight["frames"])
+    assert sequences == list(range(len(sequences)))
+    assert flight["summary"]["frames"] == len(sequences)
+
+
+def test_frames_of_the_outage_are_counted(flight):
+    """Without a worker a frame's fate is no_worker, no_reply or superseded, and not silence."""
+    after = [f for f in flight["frames"] if f["t_capture_ns"] > flight["killed_ns"]]
+    lost = [f for f in after if f["fate"] in ("no_worker", "no_reply", "superseded_on_board")]
+    assert len(lost) >= 5
+
+
+def test_drone_does_not_close_in_on_old_knowledge(flight):
+    """Every tick with a target older than age_max of the filter says so, and closes in no more."""
+    old = [t for t in flight["ticks"] if t.get("freshness") in ("hold", "brake", "retreat")]
+    assert old
+    assert {t["status"] for t in old} <= {"stale", "abort"}
+    phases = [t["freshness"] for t in flight["ticks"] if t.get("freshness")]
+    assert "hold" in phases
+    assert "brake" in phases
+
+
+def test_drone_reconnects_and_accepts_again(flight):
+    """After the restart results are accepted, from another start of the worker."""
+    accepted = [f for f in flight["frames"] if f.get("verdict") == "accepted"]
+    before = {f["worker_boot_id"] for f in accepted if f["t4_ns"] < flight["killed_ns"]}
+    after = {f["worker_boot_id"] for f in accepted if f["t4_ns"] > flight["killed_ns"] + 10**9}
+    assert len(before) == 1
+    assert len(after) == 1
+    assert before != after
+
+
+def test_events_tell_of_the_worker(flight):
+    """The worker's going and coming back stand in events.jsonl."""
+    changes = [(e["before"], e["now"]) for e in flight["events"] if e["event"] == "worker"]
+    assert changes[0] == (None, "worker")
+    assert ("worker", None) in changes
+    assert changes[-1] == (None, "worker")

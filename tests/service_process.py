@@ -1,0 +1,81 @@
+"""A real edge-service process, for tests and benches."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+READY_S = 60.0
+
+
+def free_port() -> int:
+    """A TCP port that is free now."""
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+class ServiceProcess:
+    """``edge-service serve`` on loopback ports that stay the same over restarts."""
+
+    def __init__(self, folder: Path, name: str = "worker") -> None:
+        self.name = name
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.http = f"127.0.0.1:{free_port()}"
+        self.log = folder / f"{name}.log"
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start the process; returns at once."""
+        executable = Path(sys.executable).with_name("edge-service")
+        options = ["--listen", self.endpoint, "--http", self.http, "--name", self.name]
+        with self.log.open("ab") as log:
+            self._process = subprocess.Popen(
+                [str(executable), "serve", *options], stdout=log, stderr=log
+            )
+
+    @property
+    def process(self) -> subprocess.Popen[bytes]:
+        """The running process."""
+        assert self._process is not None
+        return self._process
+
+    def wait_ready(self) -> None:
+        """Wait until it serves; fails with its log if it ends or takes too long."""
+        give_up = time.monotonic() + READY_S
+        while time.monotonic() < give_up and self.process.poll() is None:
+            with contextlib.suppress(OSError):
+                urllib.request.urlopen(f"http://{self.http}/readyz", timeout=1)
+                return
+            time.sleep(0.05)
+        raise AssertionError(f"the service is not ready:\n{self.log.read_text()}")
+
+    def kill(self) -> None:
+        """SIGKILL: no goodbye."""
+        self.process.kill()
+        self.process.wait()
+
+    def stop(self) -> int:
+        """SIGTERM; returns the exit code."""
+        self.process.terminate()
+        return self.process.wait(30)
+
+
+@contextlib.contextmanager
+def service_process(folder: Path, name: str = "worker") -> Iterator[ServiceProcess]:
+    """A service that is ready, and gone afterwards."""
+    service = ServiceProcess(folder, name)
+    service.start()
+    try:
+        service.wait_ready()
+        yield service
+    finally:
+        if service.process.poll() is None:
+            service.kill()
