@@ -38,7 +38,7 @@ class Stream:
 
 
 FRAME = Stream("frame", rate_hz=30.0, max_age_ms=250.0, urgency=Urgency.DATA)
-RESULT = Stream("result", rate_hz=60.0, max_age_ms=400.0, urgency=Urgency.REAL_TIME)
+RESULT = Stream("result", rate_hz=60.0, max_age_ms=300.0, urgency=Urgency.REAL_TIME)
 """Results and receive-acks, in one stream so that an ack never arrives after its result."""
 
 
