@@ -49,7 +49,6 @@ class Tally:
 
     verdicts: Counter[str] = field(default_factory=Counter)
     outcomes: Counter[str] = field(default_factory=Counter)
-    reasons: Counter[str] = field(default_factory=Counter)
     workers: Counter[str] = field(default_factory=Counter)
     statuses: Counter[str] = field(default_factory=Counter)
     freshness: Counter[str] = field(default_factory=Counter)
@@ -138,8 +137,6 @@ class Flight:
             return
         tally.outcomes[result.outcome.value] += 1
         tally.workers[result.worker] += 1
-        if result.reason:
-            tally.reasons[result.reason] += 1
         decision = self._decide(self._clock.now_ns())
         record = reception_record(reception) | decision_record(decision)
         if not self._ledger.close_frame(result.sequence, Fate.ANSWERED, record):

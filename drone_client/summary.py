@@ -75,8 +75,8 @@ def spread(values: Iterable[float | None]) -> dict[str, float] | None:
     return {name: round(float(v), 4) for name, v in named.items()}
 
 
-def _counts(values: Iterable[str]) -> dict[str, int]:
-    return dict(Counter(values).most_common())
+def _counts(values: Iterable[str], at_most: int = 32) -> dict[str, int]:
+    return dict(Counter(values).most_common(at_most))
 
 
 def _stages(answered: Sequence[dict[str, Any]]) -> dict[str, dict[str, float] | None]:

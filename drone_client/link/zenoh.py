@@ -86,7 +86,9 @@ class ZenohLink:
             # What is too long is cut: the envelope's length then tells, and it is counted there.
             on_message(sample.payload.to_bytes()[: MAX_MESSAGE_BYTES + 1], t4_ns)
 
-        self._results = self._session.declare_subscriber(RESULT.key(self._drone, "*"), on_sample)
+        # Direct: the indirect default puts a hidden FIFO of 256 samples before t4
+        callback = zenoh.handlers.Callback(on_sample, indirect=False)
+        self._results = self._session.declare_subscriber(RESULT.key(self._drone, "*"), callback)
         self._liveliness = self._session.liveliness().declare_subscriber(
             worker_key("*"), self._on_liveliness, history=True
         )
