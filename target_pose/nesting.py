@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -42,6 +43,8 @@ MIN_RAYS_SEEN = 8
 """An edge that fewer rays see is not judged; at least one must be."""
 MIN_RING_PX = 1.5
 """A ring thinner than this is not to be seen."""
+THICK_RING_PX = 8.0
+"""Of a ring this thick all samples must agree."""
 MIN_CONTRAST_LEVELS, MIN_CONTRAST = 4.0, 0.12
 """Least step between two shades: gray levels, and a share of the lighter one."""
 
@@ -72,17 +75,13 @@ def group(
     proposals.sort(key=lambda c: c.score, reverse=True)
     gray = cv2.cvtColor(color_rgb, cv2.COLOR_RGB2GRAY) if proposals else None
     taken: set[int] = set()
-    shades: dict[int, bool] = {}
     found = []
     for candidate in proposals:
         ids = {id(box) for box in candidate.boxes.values()}
         if ids & taken:
             continue
-        level, box = _reference(candidate.boxes, target)
         assert gray is not None
-        if id(box) not in shades:
-            shades[id(box)] = shades_fit(np.asarray(gray, np.uint8), box, level, target)
-        if shades[id(box)]:
+        if shades_fit(np.asarray(gray, np.uint8), candidate.boxes, target):
             taken |= ids
             found.append(candidate)
     return tuple(found)
@@ -113,17 +112,44 @@ def nests(outer: Box, inner: Box, ratio: tuple[float, float], image_size: tuple[
     return True
 
 
-def shades_fit(gray: NDArray[np.uint8], box: Box, level: Level, target: Target) -> bool:
-    """Whether the rings inside and around a disc's box have the target's shades.
+def shades_fit(gray: NDArray[np.uint8], boxes: dict[Level, Box], target: Target) -> bool:
+    """Whether the rings inside and around the discs' boxes have the target's shades.
 
     Args:
         gray: (H, W).
-        box: Box of the disc.
-        level: Which disc it is.
+        boxes: With at least one disc's.
         target: Sizes and shades.
     """
-    radius_m = target.level_m[level] / 2
-    return any(_edges_fit(gray, box, radius_m, target, skew) for skew in _SKEWS)
+    circles = _circles(boxes, target)
+    return any(_edges_fit(gray, circles, target, skew) for skew in _SKEWS)
+
+
+class _Circles(NamedTuple):
+    """Where a circle around the target's centre is seen, linear in its radius.
+
+    Two discs tell how perspective shifts and swells the circles; one alone stands for all.
+    """
+
+    center_px: NDArray[np.float64]  # (2, 2)
+    """Slope [px/m] and value at zero of the centre, for u and v."""
+    px_per_m: NDArray[np.float64]  # (2, 2)
+    """Slope and value at zero of the half side per metre of radius, for u and v."""
+
+    def at(self, radius_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centre (2,) [px] and scale (2,) [px/m] of the circle with this radius."""
+        r = np.array([radius_m, 1.0])
+        return r @ self.center_px, r @ self.px_per_m
+
+
+def _circles(boxes: dict[Level, Box], target: Target) -> _Circles:
+    discs = [(target.level_m[k] / 2, b) for k, b in boxes.items() if not _is_square(k, target)]
+    radius = np.array([r for r, _ in discs])
+    center = np.array([b.center_px for _, b in discs])
+    scale = np.array([b.size_px for _, b in discs]) / 2 / radius[:, None]
+    if len(discs) == 1:
+        still = np.zeros((1, 2))
+        return _Circles(np.concatenate((still, center)), np.concatenate((still, scale)))
+    return _Circles(np.polyfit(radius, center, 1), np.polyfit(radius, scale, 1))
 
 
 def _combinations(
@@ -167,39 +193,30 @@ def _is_square(level: Level, target: Target) -> bool:
     return math.isclose(target.level_m[level], target.board_side_m)
 
 
-def _reference(chosen: dict[Level, Box], target: Target) -> tuple[Level, Box]:
-    """The largest disc among the boxes: it places the rings best."""
-    return next((level, box) for level, box in chosen.items() if not _is_square(level, target))
-
-
-def _edges_fit(
-    gray: NDArray[np.uint8], box: Box, radius_m: float, target: Target, skew: float
-) -> bool:
+def _edges_fit(gray: NDArray[np.uint8], circles: _Circles, target: Target, skew: float) -> bool:
     """Whether every printed edge that can be seen has the right sign on most rays.
 
-    The disc's outline is taken as the ellipse with this skew in the box, and the other circles as
-    concentric multiples of it.
+    A circle is taken as the ellipse with this skew in its box.
     """
-    (cu, cv), (w, h) = box.center_px, box.size_px
     angle = np.linspace(0, 2 * np.pi, RAYS, endpoint=False)
     unit = np.stack((np.cos(angle), skew * np.cos(angle) + math.sqrt(1 - skew**2) * np.sin(angle)))
-    ray = unit * np.array([[w / 2], [h / 2]]) / radius_m  # (2, RAYS) px per metre
-    px_per_m = np.hypot(*ray)
     radii = [target.board_side_m / 2, *(d.diameter_m / 2 for d in target.discs), 0.0]
     shades = [target.board_shade, *(d.shade for d in target.discs)]
-    means = [
-        _ring_mean(gray, (cu, cv), ray, outer, inner) for outer, inner in itertools.pairwise(radii)
+    px_per_m = np.hypot(*(unit * circles.at(radii[1])[1][:, None]))
+    rings = [
+        _ring_gray(gray, circles, unit, outer, inner, shade)
+        for (outer, inner), shade in zip(itertools.pairwise(radii), shades, strict=True)
     ]
     edges = 0
     for k in range(len(shades) - 1):
         thin = min(radii[k] - radii[k + 1], radii[k + 1] - radii[k + 2])
-        step = means[k] - means[k + 1]
+        step = rings[k] - rings[k + 1]
         if shades[k] is Shade.BLACK:
             step = -step
         seen = np.isfinite(step) & (thin * px_per_m >= MIN_RING_PX)
         if seen.sum() < MIN_RAYS_SEEN:
             continue
-        lighter = np.maximum(means[k], means[k + 1])[seen]
+        lighter = np.maximum(rings[k], rings[k + 1])[seen]
         enough = np.maximum(MIN_CONTRAST_LEVELS, MIN_CONTRAST * lighter)
         if (step[seen] > enough).mean() < MIN_RAYS_SHARE:
             return False
@@ -207,19 +224,30 @@ def _edges_fit(
     return edges > 0
 
 
-def _ring_mean(
+def _ring_gray(
     gray: NDArray[np.uint8],
-    center_px: tuple[float, float],
-    ray: NDArray[np.float64],
+    circles: _Circles,
+    unit: NDArray[np.float64],
     outer_m: float,
     inner_m: float,
+    shade: Shade,
 ) -> NDArray[np.float64]:
-    """Mean gray (RAYS,) of a ring along each ray, its edges left out; NaN outside the picture."""
-    share = np.array([0.3, 0.5, 0.7]) if inner_m > 0 else np.array([0.0, 0.2, 0.4])
-    radius = inner_m + share * (outer_m - inner_m)  # (3,)
-    u = (center_px[0] + radius[:, None] * ray[0]).astype(np.float32)
-    v = (center_px[1] + radius[:, None] * ray[1]).astype(np.float32)
+    """Gray (RAYS,) of a ring along each ray ``unit`` (2, RAYS); NaN where it leaves the picture.
+
+    The mean of a thin ring, whose edges are blurred into it; of a thick one the sample that speaks
+    most against its shade, so that a ring of another width does not pass.
+    """
+    share = (0.3, 0.5, 0.7) if inner_m > 0 else (0.0, 0.3, 0.6)
+    points, length = [], np.zeros(unit.shape[1])
+    for s in share:
+        radius = inner_m + s * (outer_m - inner_m)
+        center, scale = circles.at(radius)
+        points.append(center[:, None] + radius * unit * scale[:, None])
+        length = (outer_m - inner_m) * np.hypot(*(unit * scale[:, None]))
+    u, v = np.stack(points, axis=1).astype(np.float32)  # (3, RAYS) each
     height, width = gray.shape
     inside = ((u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)).all(axis=0)
     value = cv2.remap(gray, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.where(inside, value.astype(np.float64).mean(axis=0), np.nan)
+    against = value.max(axis=0) if shade is Shade.BLACK else value.min(axis=0)
+    gray_of_ring = np.where(length >= THICK_RING_PX, against, value.mean(axis=0))
+    return np.where(inside, gray_of_ring, np.nan)

@@ -1,0 +1,250 @@
+"""Nesting: targets at any pose pass, look-alikes do not."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+from tests.unit.target_pose.render import Look, facing_pose, render_color, true_box
+
+from rgbd_wire.camera import CameraIntrinsics
+from target_pose.candidate import Box, Detections
+from target_pose.nesting import MAX_BOXES, group, nests
+from target_pose.target import Disc, Level, Shade, Target, load_target
+
+TARGET = load_target()
+CAMERA = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+DISCS = (Level.BETTER, Level.BEST)
+
+
+def _boxes(pose, score=0.8):
+    return {
+        level: Box(
+            *(
+                float(x)
+                for x in true_box(TARGET, pose, CAMERA, TARGET.level_m[level], level is Level.GOOD)
+            ),
+            score,
+        )
+        for level in Level
+    }
+
+
+def _picture(pose, **look):
+    gray_or_rgb = render_color(
+        TARGET, CAMERA, pose, Look(supersample=3, **look), np.random.default_rng(0)
+    )
+    return np.ascontiguousarray(gray_or_rgb)
+
+
+def _detections(*targets):
+    return Detections({level: tuple(t[level] for t in targets if level in t) for level in Level})
+
+
+def _head_on(scale=1.0, center=(160.0, 120.0)):
+    """Boxes and picture of a head-on target drawn by hand, 120 px wide at scale one."""
+    picture = np.full((240, 320, 3), 120, np.uint8)
+    half = {Level.GOOD: 60 * scale, Level.BETTER: 45 * scale, Level.BEST: 21 * scale}
+    c = np.array(center)
+    corner = [tuple(np.round(c + s * half[Level.GOOD]).astype(int).tolist()) for s in (-1, 1)]
+    cv2.rectangle(picture, *corner, (220,) * 3, -1)
+    at = tuple(np.round(c).astype(int).tolist())
+    for radius, gray in ((45 * scale, 30), (21 * scale, 220), (9 * scale, 30)):
+        cv2.circle(picture, at, round(radius), (gray,) * 3, -1, cv2.LINE_AA)
+    boxes = {level: Box(*(c - h).tolist(), *(c + h).tolist(), 0.8) for level, h in half.items()}
+    return boxes, picture
+
+
+def _smallest(boxes):
+    return min(min(box.size_px) for box in boxes.values())
+
+
+@given(
+    tilt_deg=st.floats(0, 70),
+    azimuth=st.floats(0, 6.28),
+    roll=st.floats(0, 6.28),
+    distance=st.floats(0.6, 5.0),
+    u=st.floats(20, 300),
+    v=st.floats(20, 220),
+    dim=st.floats(0.25, 1.0),
+)
+@example(0.0, 0.0, 0.785, 0.8, 160.0, 120.0, 1.0)
+@example(70.0, 0.0, 0.785, 0.7, 160.0, 120.0, 1.0)
+@settings(max_examples=30, deadline=None)
+def test_a_projected_target_is_accepted(tilt_deg, azimuth, roll, distance, u, v, dim):
+    """Boxes of the true shapes, tilted to 70 degrees, near and far, whole or cut, in any light."""
+    ray = np.array([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, 1.0])
+    pose = facing_pose(ray * distance, np.deg2rad(tilt_deg), azimuth, roll)
+    boxes = _boxes(pose)
+    assume(_smallest(boxes) >= 6)
+    disc = boxes[Level.BETTER]
+    assume(disc.x0 > -20 and disc.y0 > -20 and disc.x1 < 340 and disc.y1 < 260)
+    found = group(_detections(boxes), TARGET, _picture(pose, dim=dim))
+    assert len(found) == 1
+    whole = min(disc.x0, disc.y0) > 0 and disc.x1 < 319 and disc.y1 < 239
+    if whole and distance > 1.2:
+        assert found[0].boxes == boxes
+
+
+@given(
+    tilt_deg=st.floats(0, 70),
+    azimuth=st.floats(0, 6.28),
+    roll=st.floats(0, 6.28),
+    distance=st.floats(1.0, 6.0),
+)
+@settings(max_examples=100, deadline=None)
+def test_true_boxes_nest_by_geometry_alone(tilt_deg, azimuth, roll, distance):
+    """Every pair of levels of a projected target passes the check of centres and sizes."""
+    pose = facing_pose([0.1, -0.1, distance], np.deg2rad(tilt_deg), azimuth, roll)
+    boxes, m = _boxes(pose), TARGET.level_m
+    for outer, inner in ((Level.GOOD, Level.BETTER), (Level.BETTER, Level.BEST)):
+        least = m[outer] / m[inner]
+        most = least * (2**0.5 if outer is Level.GOOD else 1)
+        assert nests(boxes[outer], boxes[inner], (least, most), (320, 240))
+
+
+@pytest.mark.parametrize("missing", list(Level))
+def test_a_level_may_be_missing(missing):
+    """Two levels of three make a target."""
+    boxes, picture = _head_on()
+    del boxes[missing]
+    (found,) = group(_detections(boxes), TARGET, picture)
+    assert found.boxes == boxes
+
+
+@pytest.mark.parametrize(
+    ("level", "score", "accepted"),
+    [
+        (Level.BETTER, 0.8, 1),
+        (Level.BEST, 0.8, 1),
+        (Level.BETTER, 0.4, 0),
+        (Level.GOOD, 0.9, 0),  # the board's box does not say where the discs are
+    ],
+)
+def test_a_lone_disc_must_be_sure(level, score, accepted):
+    """One level alone counts when it is a disc's, scores high and its rings are right."""
+    boxes, picture = _head_on()
+    lone = boxes[level]
+    alone = {level: Box(lone.x0, lone.y0, lone.x1, lone.y1, score)}
+    assert len(group(_detections(alone), TARGET, picture)) == accepted
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.3, 0.15])
+def test_an_inverted_target_is_rejected(scale):
+    """White where it should be black, at any size: no target."""
+    boxes, picture = _head_on(scale)
+    assert len(group(_detections(boxes), TARGET, picture)) == 1
+    assert group(_detections(boxes), TARGET, 255 - picture) == ()
+
+
+def _disc(picture, radius, gray):
+    cv2.circle(picture, (160, 120), radius, (gray,) * 3, -1, cv2.LINE_AA)
+
+
+@pytest.mark.parametrize(
+    "rings",
+    [
+        [(45, 30)],  # a black disc
+        [(45, 30), (21, 220)],  # a thick ring without the dot
+        [(45, 220), (21, 30)],  # a small black disc
+        [(45, 30), (38, 220), (21, 30), (14, 220)],  # two thin rings
+        [(45, 30), (30, 220), (9, 30)],  # a thin ring with a dot
+        [(45, 120), (21, 120), (9, 120)],  # nothing at all
+    ],
+)
+def test_other_rings_on_a_white_board_are_rejected(rings):
+    """Even when the net has put perfect boxes on them."""
+    boxes, picture = _head_on()
+    cv2.circle(picture, (160, 120), 46, (220,) * 3, -1)
+    for radius, gray in rings:
+        _disc(picture, radius, gray)
+    assert group(_detections(boxes), TARGET, picture) == ()
+
+
+@pytest.mark.parametrize(
+    ("level", "factor", "shift"),
+    [(Level.BEST, 1.6, 0), (Level.BEST, 0.6, 0), (Level.BETTER, 0.7, 0), (Level.BEST, 1.0, 18)],
+)
+def test_a_box_of_the_wrong_size_or_place_is_left_out(level, factor, shift):
+    """The other two levels make the target without it."""
+    boxes, picture = _head_on()
+    (u, v), (w, h) = boxes[level].center_px, boxes[level].size_px
+    w, h, u = w * factor, h * factor, u + shift
+    wrong = {**boxes, level: Box(u - w / 2, v - h / 2, u + w / 2, v + h / 2, 0.9)}
+    (found,) = group(_detections(wrong), TARGET, picture)
+    assert found.boxes == {k: b for k, b in boxes.items() if k is not level}
+
+
+def test_a_flat_gray_picture_holds_no_target():
+    """Boxes alone convince nobody."""
+    boxes, picture = _head_on()
+    assert group(_detections(boxes), TARGET, np.full_like(picture, 128)) == ()
+
+
+def test_low_contrast_in_the_dark_is_enough():
+    """Eight gray levels between black and white still tell the rings apart."""
+    boxes, picture = _head_on()
+    dark = (picture.astype(float) * 0.05 + 2).astype(np.uint8)
+    assert int(dark.max()) <= 13
+    assert len(group(_detections(boxes), TARGET, dark)) == 1
+
+
+def test_a_shadow_across_the_target_is_no_edge_of_it():
+    """Light that falls to a quarter from left to right does not hide the rings."""
+    boxes, picture = _head_on()
+    shade = np.linspace(1.0, 0.25, 320)[None, :, None]
+    assert len(group(_detections(boxes), TARGET, (picture * shade).astype(np.uint8))) == 1
+
+
+def test_two_targets_come_best_first_and_share_no_box():
+    """Every box serves once; the surer target leads."""
+    left, right = _head_on(0.5, (80, 120)), _head_on(0.5, (240, 120))
+    picture = np.where(np.arange(320)[None, :, None] < 160, left[1], right[1])
+    sure = {k: Box(b.x0, b.y0, b.x1, b.y1, 0.95) for k, b in right[0].items()}
+    found = group(_detections(left[0], sure), TARGET, picture)
+    assert [c.boxes for c in found] == [sure, left[0]]
+    assert found[0].score == pytest.approx(0.95)
+
+
+def test_a_whole_target_outranks_its_parts():
+    """The score counts every level, so that one lacking a level is worth less."""
+    boxes, picture = _head_on()
+    (whole,) = group(_detections(boxes), TARGET, picture)
+    del boxes[Level.BEST]
+    (part,) = group(_detections(boxes), TARGET, picture)
+    assert part.score < whole.score == pytest.approx(0.8)
+
+
+def test_a_crowd_of_boxes_is_bounded():
+    """Hundreds of boxes are cut to the best ones, the target among them is found."""
+    boxes, picture = _head_on()
+    rng = np.random.default_rng(0)
+    corner = rng.uniform(0, 200, (300, 2))
+    noise = tuple(Box(x, y, x + 40, y + 30, 0.3) for x, y in corner.tolist())
+    crowd = Detections({level: (boxes[level], *noise) for level in Level})
+    assert len(crowd.boxes[Level.GOOD]) > MAX_BOXES
+    (found,) = group(crowd, TARGET, picture)
+    assert found.boxes == boxes
+
+
+def test_nothing_detected_is_no_target():
+    """Neither an empty answer nor one without levels is an error."""
+    _, picture = _head_on()
+    assert group(Detections({}), TARGET, picture) == ()
+    assert group(Detections(dict.fromkeys(Level, ())), TARGET, picture) == ()
+
+
+def test_another_target_is_judged_by_its_own_file():
+    """A black board with a white disc and a black dot: what is wrong here is right there."""
+    mine = Target(
+        "mine",
+        0.4,
+        Shade.BLACK,
+        (Disc(0.3, Shade.WHITE), Disc(0.14, Shade.BLACK), Disc(0.06, Shade.WHITE)),
+        TARGET.level_m,
+    )
+    boxes, picture = _head_on()
+    assert group(_detections(boxes), mine, picture) == ()
+    assert len(group(_detections(boxes), mine, 255 - picture)) == 1
