@@ -11,11 +11,13 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from drone_client.airframe import Airframe
-from drone_client.gate import GateSettings, Judgement, ResultStamps, SentFrame
+from drone_client.gate import GateSettings, Judgement, ResultStamps, SentFrame, Verdict
 from drone_client.pose_buffer import PoseBuffer
 from drone_client.sent_frames import SentFrames
-from drone_client.target import TargetEstimate, Update, measure, update
+from drone_client.target import MAX_VARIANCE, TargetEstimate, Update, measure, update
 from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.errors import DecodeError, Reject
 from rgbd_wire.geometry import Pose
@@ -28,6 +30,9 @@ from rgbd_wire.messages import (
     pose_of,
     unpack_covariance,
 )
+
+_MADE_UP = frozenset({Verdict.NEVER_SENT, Verdict.ECHO_MISMATCH, Verdict.WRONG_WORKER})
+"""A result like this does not show that the worker has the frame: it frees no slot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +141,8 @@ class Receiver:
             done, world_from_target = None, None
             if judgement.accepted and result.target is not None:
                 done, world_from_target = self._fuse(result.target, result.t_capture_ns)
-        self._on_heard(result.sequence, result.worker)
+        if judgement.verdict not in _MADE_UP:
+            self._on_heard(result.sequence, result.worker)
         self._on_result(Reception(result, t4_ns, judgement, done, world_from_target))
 
     def _fuse(self, target: TargetPose, t_capture_ns: int) -> tuple[Update, Pose | None]:
@@ -151,5 +157,7 @@ class Receiver:
         )
         if target.ambiguous:
             return Update.AMBIGUOUS, measurement.world_from_target
+        if np.trace(measurement.covariance) > MAX_VARIANCE:
+            return Update.TOO_UNSURE, measurement.world_from_target
         self._estimate, done = update(self._estimate, measurement)
         return done, measurement.world_from_target

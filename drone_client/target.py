@@ -26,6 +26,9 @@ GATE_CHI2 = 27.86
 OUTLIERS_BEFORE_RESET = 4
 """So many measurements in a row that disagree with the estimate mean that it is the estimate that
 is wrong: it starts again from the newest."""
+MAX_VARIANCE = 1e3
+"""Sum of a measurement's six variances [m^2, rad^2] above which it says nothing; below it, the
+floors keep every matrix here positive definite, whatever the rounding does."""
 MIN_SIGMA_M = 0.002
 MIN_SIGMA_RAD = 0.005
 """Floor of a measurement's standard deviation: calibration errors do not average out."""
@@ -43,6 +46,8 @@ class Update(StrEnum):
     RESET = "reset"
     AMBIGUOUS = "ambiguous"
     """Two folds fit: not used."""
+    TOO_UNSURE = "too_unsure"
+    """The worker itself says that it knows nothing: not used."""
     NO_POSE = "no_pose"
     """The drone does not know where it was at the exposure: not used."""
 
@@ -100,7 +105,10 @@ def measure(
 def update(
     estimate: TargetEstimate | None, measurement: TargetMeasurement
 ) -> tuple[TargetEstimate, Update]:
-    """Fuse a measurement into the estimate: a Kalman step on the pose, behind a gate."""
+    """Fuse a measurement into the estimate: a Kalman step on the pose, behind a gate.
+
+    The measurement's variances must sum to at most ``MAX_VARIANCE``.
+    """
     m = measurement
     fresh = TargetEstimate(m.world_from_target, m.covariance, m.t_capture_ns, m.range_m)
     if estimate is None:
