@@ -65,7 +65,10 @@ class Uplink:
         self._slot: Newest[_Captured] = Newest()
         self._acks = AckClock(settings.window, settings.ack_timeout_ns)
         self._room = threading.Condition()
+        self._asked: dict[int, str] = {}
+        """Worker of each frame that holds a slot."""
         self._silent: set[str] = set()
+        """Workers that left a frame unacknowledged and were not heard of since."""
         self._worker: str | None = None
         self._sequence = 0
         self._stopping = threading.Event()
@@ -89,6 +92,7 @@ class Uplink:
         with self._room:
             self._silent.discard(worker)
             if self._acks.release(sequence):
+                del self._asked[sequence]
                 self._room.notify()
 
     def stop(self) -> None:
@@ -117,11 +121,11 @@ class Uplink:
 
     def _expire(self) -> None:
         now_ns = self._clock.now_ns()
-        if late := self._acks.expire(now_ns):
+        for sequence in self._acks.expire(now_ns):
             # A worker that leaves frames unacknowledged is asked again only if there is no other.
-            if self._worker is not None:
-                self._silent.add(self._worker)
-            self._ledger.event(now_ns, "ack_timeout", sequences=late, worker=self._worker)
+            worker = self._asked.pop(sequence)
+            self._silent.add(worker)
+            self._ledger.event(now_ns, "ack_timeout", sequence=sequence, worker=worker)
 
     def _send(self, captured: _Captured) -> None:
         worker = self._choose_worker()
@@ -137,11 +141,15 @@ class Uplink:
         self._ledger.sent(captured.sequence, t1_ns, worker, len(message))
         with self._room:
             self._acks.send(captured.sequence, t1_ns)
+            self._asked[captured.sequence] = worker
         self._link.send(worker, message)
 
     def _choose_worker(self) -> str | None:
         live = self._link.workers()
-        worker = choose_worker(self._settings.drone, live, self._worker, self._silent)
+        with self._room:
+            self._silent.intersection_update(live)  # one that went and came back starts afresh
+            silent = frozenset(self._silent)
+        worker = choose_worker(self._settings.drone, live, self._worker, silent)
         if worker != self._worker:
             self._ledger.event(
                 self._clock.now_ns(), "worker", before=self._worker, now=worker, live=live
