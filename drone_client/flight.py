@@ -15,6 +15,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from drone_client.airframe import Airframe
 from drone_client.autopilot import Autopilot
@@ -157,23 +158,37 @@ class Flight:
     def _run_control(self) -> None:
         period_ns = round(1e9 / self._settings.control_hz)
         due_ns = self._clock.now_ns()
+        well = True
         while not self._stopping.is_set():
             now_ns = self._clock.now_ns()
+            decided: dict[str, Any] = {}
             try:
-                self._tick(now_ns)
+                decided = self._tick(now_ns)
+                well = True
             except Exception:
                 # Last line of defence: whatever went wrong, the drone stands still, and it is told.
                 self.tally.control_errors += 1
-                logger.exception("control tick failed: commanding a stop")
-                self._autopilot.command(stop_command(now_ns))
+                if well:  # once, not at every tick that fails like the one before
+                    logger.exception("control tick failed: commanding a stop")
+                well = False
+                self._stand_still()
+            self._ledger.close_unanswered(now_ns - self._settings.reply_timeout_ns, decided)
             due_ns += period_ns
             now_ns = self._clock.now_ns()
             if due_ns < now_ns - 5 * period_ns:
                 due_ns = now_ns  # fell behind: no burst of ticks to catch up
             self._stopping.wait(max(0, due_ns - now_ns) / 1e9)
-        self._autopilot.command(stop_command(self._clock.now_ns()))
+        self._stand_still()
 
-    def _tick(self, now_ns: int) -> None:
+    def _stand_still(self) -> None:
+        try:
+            self._autopilot.command(stop_command(self._clock.now_ns()))
+        except Exception:
+            # It is the autopilot itself that fails, and its own dead man is all that is left.
+            self.tally.control_errors += 1
+
+    def _tick(self, now_ns: int) -> dict[str, Any]:
+        """Decide, command, write it down; returns what the ledger says of the decision."""
         world_from_body = self._world_from_body(now_ns)
         if world_from_body is not None:
             self._receiver.add_pose(now_ns, world_from_body)
@@ -185,6 +200,6 @@ class Flight:
             self.tally.freshness[decision.safe.freshness.value] += 1
         else:
             self.tally.statuses[decision.known.value] += 1
-        self._ledger.tick({"t_ns": now_ns} | decision_record(decision))
-        given_up_before_ns = now_ns - self._settings.reply_timeout_ns
-        self._ledger.close_unanswered(given_up_before_ns, decision_record(decision))
+        record = decision_record(decision)
+        self._ledger.tick({"t_ns": now_ns} | record)
+        return record
