@@ -82,11 +82,13 @@ class Lockstep:
         """Each capture after the fate of the last is known."""
         for capture in self._source.captures():
             world_from_camera = self._source.world_from_camera(capture.t_source_ns)
-            self._here = (
-                None if world_from_camera is None else world_from_camera @ self._camera_from_body
-            )
+            # The drone jumps from one capture's place to the next. Until the flight has been told
+            # of the new place, at the time of exposure, nobody asks for one in between.
+            self._here = None
             self._settled.clear()
             yield self._clock.now_ns(), capture
+            if world_from_camera is not None:
+                self._here = world_from_camera @ self._camera_from_body
             while not self._settled.wait(0.05):
                 if self._stop.is_set():
                     return
