@@ -20,7 +20,7 @@ from rgbd_wire.streams import FRAME, RESULT, worker_key, worker_of_key
 MAX_WORKERS = 64
 """More than any cluster that a drone would choose from; bounds what a rogue peer can announce."""
 MAX_MESSAGE_BYTES = PREFIX_BYTES + MAX_BODY_BYTES[Kind.RESULT]
-_ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+):(\d{1,5})\Z")
+_ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+):([0-9]{1,5})")
 
 
 def check_endpoint(endpoint: str) -> str:
@@ -29,23 +29,29 @@ def check_endpoint(endpoint: str) -> str:
     Raises:
         LinkError: says what an endpoint looks like.
     """
-    match = _ENDPOINT.fullmatch(endpoint)
-    if match is None or not 0 < int(match[3]) <= 65535:
-        raise LinkError(
-            f"endpoint {endpoint!r} is not PROTOCOL/HOST:PORT, such as tcp/192.0.2.7:7447 "
-            "(protocols: tcp, tls)"
-        )
+    if not _is_endpoint(endpoint):
+        hint = "such as tcp/192.0.2.7:7447 (protocols: tcp, tls)"
+        if _is_endpoint(f"tcp/{endpoint}"):
+            hint = f"did you mean tcp/{endpoint}?"
+        raise LinkError(f"endpoint {endpoint!r} is not PROTOCOL/HOST:PORT; {hint}")
     return endpoint
+
+
+def _is_endpoint(text: str) -> bool:
+    match = _ENDPOINT.fullmatch(text)
+    return match is not None and 0 < int(match[3]) <= 65535
 
 
 class ZenohLink:
     """One session to all workers.
 
     Raises:
-        LinkError: an endpoint is malformed, or the session cannot be opened.
+        LinkError: there is no endpoint, one is malformed, or the session cannot be opened.
     """
 
     def __init__(self, drone: str, endpoints: tuple[str, ...], clock: Clock) -> None:
+        if not endpoints:
+            raise LinkError("no endpoint to connect to; such as tcp/192.0.2.7:7447")
         self._drone = drone
         self._clock = clock
         self._lock = threading.Lock()
@@ -64,6 +70,8 @@ class ZenohLink:
                 "period_max_ms": 1000,
                 "period_increase_factor": 2,
             },
+            # Nobody is scouted for: waiting for who might turn up would cost 0.5 s at the start
+            "open/return_conditions/connect_scouted": False,
             "listen/endpoints": [],
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
@@ -76,7 +84,7 @@ class ZenohLink:
         except zenoh.ZError as error:
             raise LinkError(
                 f"cannot open a Zenoh session to {', '.join(endpoints)}: {error}"
-            ) from (None)
+            ) from None
 
     def start(self, on_message: OnMessage) -> None:
         """Subscribe to this drone's results and to the workers' liveliness."""
@@ -100,14 +108,14 @@ class ZenohLink:
 
     def send(self, worker: str, message: bytes) -> None:
         """Publish a frame to a worker; drops rather than blocks."""
-        publisher = self._publishers.get(worker)
-        if publisher is None:
-            publisher = self._publishers[worker] = self._session.declare_publisher(
-                FRAME.key(self._drone, worker),
-                congestion_control=zenoh.CongestionControl.DROP,
-                priority=zenoh.Priority.DATA,
-            )
         try:
+            publisher = self._publishers.get(worker)
+            if publisher is None:
+                publisher = self._publishers[worker] = self._session.declare_publisher(
+                    FRAME.key(self._drone, worker),
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.DATA,
+                )
             publisher.put(message)
         except zenoh.ZError:
             self.send_errors += 1  # the frame is lost, and the ack clock will say so
