@@ -15,6 +15,9 @@ from rgbd_wire.geometry import Array, Pose
 
 FLU_FROM_RDF = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation of a camera that looks straight ahead: its z is the body's x, its x the body's -y."""
+MAX_AIRFRAME_BYTES = 65_536
+MAX_ARM_M = 5.0
+"""Nothing on a drone is further than this from its body; metres are easily mistaken."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,10 +44,12 @@ def load_airframe(path: Path) -> Airframe:
         AirframeError: with the path, the field at fault and what it may be.
     """
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-        unknown = set(raw) - {"body_from_camera", "body_from_tip"}
-        if unknown:
-            raise AirframeError(f"unknown {', '.join(sorted(unknown))}")
+        with path.open("rb") as file:
+            data = file.read(MAX_AIRFRAME_BYTES + 1)
+        if len(data) > MAX_AIRFRAME_BYTES:
+            raise AirframeError(f"over {MAX_AIRFRAME_BYTES} bytes")
+        raw = tomllib.loads(data.decode("utf-8"))
+        _check_keys("the file", raw, ("body_from_camera", "body_from_tip"))
         defaults = Airframe()
         return Airframe(
             _pose(raw, "body_from_camera", defaults.body_from_camera),
@@ -52,8 +57,14 @@ def load_airframe(path: Path) -> Airframe:
         )
     except OSError as error:
         raise AirframeError(f"airframe file {path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, AirframeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, AirframeError) as error:
         raise AirframeError(f"airframe file {path}: {error}") from None
+
+
+def _check_keys(where: str, table: dict[str, Any], known: tuple[str, ...]) -> None:
+    for key in table:
+        if key not in known:
+            raise AirframeError(f"{where} has unknown {key[:40]!r}; known: {', '.join(known)}")
 
 
 def _pose(raw: dict[str, Any], name: str, default: Pose) -> Pose:
@@ -62,14 +73,15 @@ def _pose(raw: dict[str, Any], name: str, default: Pose) -> Pose:
     table = raw[name]
     if not isinstance(table, dict) or "translation_m" not in table:
         raise AirframeError(f"[{name}] lacks translation_m")
-    if unknown := set(table) - {"translation_m", "q_wxyz"}:
-        raise AirframeError(f"[{name}] has unknown {', '.join(sorted(unknown))}")
+    _check_keys(f"[{name}]", table, ("translation_m", "q_wxyz"))
     try:
         translation: Array = np.asarray(table["translation_m"], dtype=np.float64)
         q_wxyz: Array = np.asarray(table.get("q_wxyz", default.q_wxyz), dtype=np.float64)
         pose = Pose(translation, q_wxyz)
     except (GeometryError, TypeError, ValueError) as error:
         raise AirframeError(f"[{name}]: {error}") from None
-    if float(np.linalg.norm(pose.translation)) > 5.0:
-        raise AirframeError(f"[{name}] lies over 5 m from the body: {pose.translation}")
+    if float(np.linalg.norm(pose.translation)) > MAX_ARM_M:
+        raise AirframeError(
+            f"[{name}] lies over {MAX_ARM_M:g} m from the body: translation_m = {translation}"
+        )
     return pose

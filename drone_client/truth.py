@@ -49,8 +49,13 @@ def load_truth(path: Path) -> tuple[TruthEntry, ...]:
         try:
             matrix = np.asarray(entry["camera_from_target"], dtype=np.float64)
             entries.append(TruthEntry(Pose.from_matrix(matrix), float(entry["visible"])))
-        except (KeyError, TypeError, ValueError, GeometryError) as error:
-            raise SourceError(f"truth file {path}: frame {number}: {error!r}") from None
+        except (KeyError, TypeError):
+            raise SourceError(
+                f"truth file {path}: frame {number}: must hold camera_from_target, a 4x4 matrix, "
+                "and visible, a share"
+            ) from None
+        except (ValueError, GeometryError) as error:
+            raise SourceError(f"truth file {path}: frame {number}: {error}") from None
     return tuple(entries)
 
 

@@ -10,15 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from drone_client.errors import SourceError
 from drone_client.pose_buffer import PoseBuffer
 from drone_client.source import Capture
-from rgbd_wire.camera import RgbdCamera
+from rgbd_wire.camera import RgbdCamera, load_camera
 from rgbd_wire.errors import GeometryError
 from rgbd_wire.geometry import Pose
 
@@ -26,6 +27,7 @@ MAX_PAIR_DISTANCE_NS: Final = 20_000_000
 """Colour and depth further apart in time than this are not of one exposure (TUM's associate.py)."""
 MAX_LINES: Final = 1_000_000
 MAX_LIST_BYTES: Final = 128 * 1024 * 1024
+MAX_PICTURE_BYTES: Final = 64 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +69,7 @@ class ReplaySource:
         return self._trajectory.at(t_source_ns)
 
     def _load(self, pair: _Pair) -> Capture:
-        color = cv2.imread(str(pair.color), cv2.IMREAD_COLOR_RGB)
-        if color is None:
-            raise SourceError(f"{pair.color}: no picture that can be read")
+        color = _read_picture(pair.color, cv2.IMREAD_COLOR_RGB)
         want = self.camera.color
         if color.shape[:2] != (want.height, want.width):
             raise SourceError(
@@ -78,9 +78,7 @@ class ReplaySource:
             )
         depth = None
         if pair.depth is not None:
-            depth = cv2.imread(str(pair.depth), cv2.IMREAD_UNCHANGED)
-            if depth is None:
-                raise SourceError(f"{pair.depth}: no picture that can be read")
+            depth = _read_picture(pair.depth, cv2.IMREAD_UNCHANGED)
             if depth.dtype != np.uint16 or depth.ndim != 2:
                 raise SourceError(f"{pair.depth}: depth must be a 16-bit grey PNG")
             want = self.camera.depth
@@ -90,6 +88,38 @@ class ReplaySource:
                     f"the camera file says {want.width}x{want.height} for depth"
                 )
         return Capture(pair.t_source_ns, color, depth, pair.color.name)
+
+
+def open_recording(folder: Path, camera: Path | None = None) -> ReplaySource:
+    """A recording with its camera file; without one, ``camera.json`` of the folder.
+
+    Raises:
+        SourceError: as ``ReplaySource``.
+        CameraFileError: the camera file is missing or wrong.
+    """
+    if not folder.is_dir():
+        raise SourceError(f"recording {folder}: no such folder")
+    if camera is None and not (folder / "camera.json").exists():
+        raise SourceError(f"recording {folder}: holds no camera.json; name one with --camera")
+    return ReplaySource(folder, load_camera(camera or folder / "camera.json"))
+
+
+def _read_picture(path: Path, flags: int) -> NDArray[Any]:
+    """A picture of at most ``MAX_PICTURE_BYTES``, decoded."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_PICTURE_BYTES + 1)
+    except OSError as error:
+        raise SourceError(f"{path}: {error.strerror}") from None
+    picture = None
+    if 0 < len(data) <= MAX_PICTURE_BYTES:
+        try:
+            picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        except cv2.error:  # a header that claims more pixels than any camera has
+            picture = None
+    if picture is None:
+        raise SourceError(f"{path}: no picture that can be read")
+    return np.asarray(picture)
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -132,6 +162,8 @@ def _read_list(folder: Path, name: str) -> list[tuple[int, Path]]:
         if entries and t_ns <= entries[-1][0]:
             raise SourceError(f"{where}: time does not go forward")
         inside = Path(fields[1])
+        if not fields[1].isprintable():
+            raise SourceError(f"{where}: {fields[1]!r} is not a file name")
         if inside.is_absolute() or ".." in inside.parts:
             raise SourceError(f"{where}: {fields[1]} lies outside the recording")
         entries.append((t_ns, folder / inside))
