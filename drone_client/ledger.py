@@ -8,6 +8,7 @@ is missing tells as much as what came.
 from __future__ import annotations
 
 import json
+import math
 import threading
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -70,6 +71,8 @@ class Ledger:
             folder.mkdir(parents=True, exist_ok=True)
             for name in (LEDGER_NAME, EVENTS_NAME, TICKS_NAME):
                 self._files[name] = (folder / name).open("w", encoding="utf-8")
+        except FileExistsError:
+            raise OutputError(f"folder {folder}: there is a file of that name") from None
         except OSError as error:
             self.close()
             raise OutputError(f"folder {folder}: {error.strerror}") from None
@@ -155,8 +158,27 @@ class Ledger:
         if file is None:
             return
         try:
-            file.write(json.dumps(line, allow_nan=False) + "\n")
+            file.write(_json_line(line))
             if name != TICKS_NAME:
                 file.flush()
-        except (OSError, ValueError):
+        except OSError:
             self.lost_lines += 1
+
+
+def _json_line(line: dict[str, Any]) -> str:
+    try:
+        return json.dumps(line, allow_nan=False) + "\n"
+    except ValueError:  # JSON knows no NaN; the frame keeps its line
+        return json.dumps(_with_null_for_nan(line), allow_nan=False) + "\n"
+
+
+def _with_null_for_nan(value: Any) -> Any:
+    match value:
+        case float():
+            return value if math.isfinite(value) else None
+        case dict():
+            return {key: _with_null_for_nan(v) for key, v in value.items()}
+        case list() | tuple():
+            return [_with_null_for_nan(v) for v in value]
+        case _:
+            return value

@@ -19,9 +19,15 @@ FULLY_VISIBLE = 0.9
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
-    """The JSON lines of a file."""
+    """The JSON lines of a file; one that a full disk cut off is left out."""
+    lines = []
     with path.open(encoding="utf-8") as file:
-        return [json.loads(line) for line in file]
+        for line in file:
+            try:
+                lines.append(json.loads(line))
+            except ValueError:
+                continue
+    return lines
 
 
 def summarise(
@@ -51,7 +57,9 @@ def summarise(
         "accepted_poses": len(targets),
         "network_delay_ms": spread([f["network_delay_ms"] for f in accepted]),
         "age_ms": spread([f["age_ms"] for f in accepted]),
-        "service_ms": spread([f["service_ms"] for f in answered]),
+        "service_ms": spread(
+            [f["service_ms"] for f in answered if f["network_delay_ms"] is not None]
+        ),
         "stages_ms": _stages(answered),
         "frame_bytes": spread(sent),
         "ticks": len(ticks),
