@@ -11,8 +11,10 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from drone_client.airframe import Airframe, load_airframe
 from drone_client.errors import ClientError
@@ -22,11 +24,10 @@ from drone_client.link.zenoh import ZenohLink
 from drone_client.plot import PLOT_NAME
 from drone_client.replay import SUMMARY_NAME, ReplayOptions
 from drone_client.replay import replay as run_replay
-from drone_client.settings import load_settings
+from drone_client.settings import ClientSettings, about, known_name, load_settings
 from drone_client.snap import snap as ask
-from drone_client.source.replay import ReplaySource
+from drone_client.source.replay import open_recording
 from drone_client.truth import load_truth
-from rgbd_wire.camera import load_camera
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.errors import WireError
 
@@ -35,13 +36,11 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
+    rich_markup_mode="markdown",  # lines flow, and [ms] is text
+    epilog="Every setting can come from the environment: "
+    + ", ".join(known_name(field) for field in ClientSettings.model_fields),
 )
 _errors = Console(stderr=True)
-
-
-@app.callback()
-def _root() -> None:
-    """Every setting can also come from the environment as DRONE_NAME, DRONE_TAU_MAX_MS, ..."""
 
 
 @app.command(no_args_is_help=True)
@@ -54,21 +53,15 @@ def replay(
         Path | None,
         typer.Option(help="camera JSON; without it FOLDER/camera.json", show_default=False),
     ] = None,
-    connect: Annotated[
-        str | None, typer.Option(help="workers' endpoints, such as tcp/192.0.2.7:7447")
-    ] = None,
+    connect: Annotated[str | None, typer.Option(help=about("connect"))] = None,
     out: Annotated[Path, typer.Option(help="folder for ledger, summary and plot")] = Path("RUN"),
-    name: Annotated[str | None, typer.Option(help="this drone's name")] = None,
-    tau_max_ms: Annotated[
-        float | None, typer.Option(help="results with d1+d2 above this are refused [ms]")
-    ] = None,
-    age_max_ms: Annotated[
-        float | None, typer.Option(help="results older than this on arrival are refused [ms]")
-    ] = None,
-    window: Annotated[int | None, typer.Option(help="frames in the network at most")] = None,
-    jpeg_quality: Annotated[int | None, typer.Option(help="of the colour picture")] = None,
+    name: Annotated[str | None, typer.Option(help=about("name"))] = None,
+    tau_max_ms: Annotated[float | None, typer.Option(help=about("tau_max_ms"))] = None,
+    age_max_ms: Annotated[float | None, typer.Option(help=about("age_max_ms"))] = None,
+    window: Annotated[int | None, typer.Option(help=about("window"))] = None,
+    jpeg_quality: Annotated[int | None, typer.Option(help=about("jpeg_quality"))] = None,
     wait_for_worker_s: Annotated[
-        float | None, typer.Option(help="how long to wait for a first worker [s]")
+        float | None, typer.Option(help=about("wait_for_worker_s"))
     ] = None,
     airframe: Annotated[
         Path | None, typer.Option(help="TOML with body_from_camera and body_from_tip")
@@ -77,16 +70,21 @@ def replay(
         Path | None, typer.Option(help="JSON with the true poses: errors go into the summary")
     ] = None,
     as_fast_as_possible: Annotated[
-        bool, typer.Option(help="each frame after the last one's answer; no frame is left out")
+        bool,
+        typer.Option(
+            "--as-fast-as-possible", help="each frame after the last one's answer: none is left out"
+        ),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="print the summary as JSON")] = False,
-    plot: Annotated[bool, typer.Option(help="draw RUN/run.png")] = True,
+    plot: Annotated[
+        bool, typer.Option("--plot/--no-plot", help="draw run.png beside the ledger")
+    ] = True,
 ) -> None:
     """Play a recording through the whole chain, as if it were flown now.
 
     Frames go to a worker, results come back through the delay gate, the target feeds guidance and
-    the safety filter, and an autopilot in memory takes the commands. RUN/ledger.jsonl gets one
-    line for every frame.
+    the safety filter, and an autopilot in memory takes the commands. The folder of --out gets
+    ledger.jsonl with one line for every frame, ticks.jsonl, events.jsonl, summary.json and run.png.
 
     Example: drone-client replay examples/recordings/rendered-approach --connect tcp/127.0.0.1:7447
     """
@@ -99,11 +97,12 @@ def replay(
         jpeg_quality=jpeg_quality,
         wait_for_worker_s=wait_for_worker_s,
     )
-    source = ReplaySource(folder, load_camera(camera or folder / "camera.json"))
+    source = open_recording(folder, camera)
     body = Airframe() if airframe is None else load_airframe(airframe)
     entries = () if truth is None else load_truth(truth)
     options = ReplayOptions(out, as_fast_as_possible, entries, plot)
     clock = MonotonicClock()
+    title = escape(folder.resolve().name)
     with _progress() as progress:
         task = progress.add_task("waiting for a worker", total=len(source), counts="")
 
@@ -111,10 +110,13 @@ def replay(
             accepted = tally.verdicts["accepted"]
             refused = sum(tally.verdicts.values()) - accepted
             counts = f"{accepted} accepted, {refused} refused, {tally.outcomes['target']} targets"
-            progress.update(task, completed=done, description=folder.name, counts=counts)
+            progress.update(task, completed=done, description=title, counts=counts)
 
         link = ZenohLink(settings.name, settings.endpoints, clock)
-        summary = run_replay(source, body, settings, options, link, clock, on_progress)
+        try:
+            summary = run_replay(source, body, settings, options, link, clock, on_progress)
+        finally:
+            link.close()
     if as_json:
         print(json.dumps(summary, indent=2))
     else:
@@ -140,9 +142,10 @@ def snap(
     if as_json:
         print(json.dumps(answer, indent=2))
         return
-    table = Table("", "", title=color.name, show_header=False)
+    table = Table("", "", title=Text(color.name), show_header=False)
     for key, value in answer.items():
-        table.add_row(key, json.dumps(value) if isinstance(value, dict | list) else str(value))
+        text = json.dumps(value) if isinstance(value, dict | list) else str(value)
+        table.add_row(Text(key), Text(text))
     Console().print(table)
 
 
@@ -152,7 +155,8 @@ def main() -> None:
     try:
         app(standalone_mode=True)
     except (ClientError, WireError) as error:
-        _errors.print(f"drone-client: {error}", style="red", markup=False, soft_wrap=True)
+        line = " ".join(str(error).split())
+        _errors.print(f"drone-client: {line}", style="red", markup=False, soft_wrap=True)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
@@ -214,7 +218,8 @@ def _print_summary(summary: dict[str, Any], options: ReplayOptions) -> None:
     console = Console()
     console.print(table)
     files = [LEDGER_NAME, SUMMARY_NAME, *([PLOT_NAME] if options.plot else [])]
-    console.print("written: " + ", ".join(str(options.out / f) for f in files), soft_wrap=True)
+    written = ", ".join(str(options.out / f) for f in files)
+    console.print(f"written: {written}", markup=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -29,11 +29,11 @@ from drone_client.gate import GateSettings, SentFrame
 from drone_client.link.zenoh import ZenohLink
 from drone_client.reception import Receiver, Reception
 from drone_client.replay import wait_for_worker
-from drone_client.settings import NS_PER_MS, ClientSettings, load_settings
-from drone_client.source.replay import ReplaySource
+from drone_client.settings import NS_PER_MS, ClientSettings, about, load_settings
+from drone_client.source.replay import open_recording
 from drone_client.summary import spread
 from drone_client.worker_choice import choose_worker
-from rgbd_wire.camera import CameraIntrinsics, RgbdCamera, load_camera
+from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from rgbd_wire.clock import Clock, MonotonicClock
 from rgbd_wire.errors import WireError
 from rgbd_wire.frame import RgbdFrame
@@ -187,9 +187,7 @@ def load_test(
     drones: Annotated[int, typer.Option(min=1, max=64, help="how many drones")] = 4,
     rate: Annotated[float, typer.Option(min=0.1, max=240, help="frames a second of each")] = 15.0,
     duration: Annotated[float, typer.Option(min=0.5, max=3600, help="seconds")] = 10.0,
-    connect: Annotated[
-        str | None, typer.Option(help="workers' endpoints, such as tcp/192.0.2.7:7447")
-    ] = None,
+    connect: Annotated[str | None, typer.Option(help=about("connect"))] = None,
     recording: Annotated[
         Path | None,
         typer.Option(help="folder whose pictures are sent; without it a noise picture"),
@@ -197,8 +195,8 @@ def load_test(
     camera: Annotated[
         Path | None, typer.Option(help="its camera JSON; without it RECORDING/camera.json")
     ] = None,
-    tau_max_ms: Annotated[float | None, typer.Option(help="gate on d1+d2 [ms]")] = None,
-    window: Annotated[int | None, typer.Option(help="frames in the network per drone")] = None,
+    tau_max_ms: Annotated[float | None, typer.Option(help=about("tau_max_ms"))] = None,
+    window: Annotated[int | None, typer.Option(help=about("window"))] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the result as JSON")] = False,
 ) -> None:
     """Load a service with many drones and say what each of them got.
@@ -208,9 +206,11 @@ def load_test(
     settings = load_settings(connect=connect, tau_max_ms=tau_max_ms, window=window)
     pictures = _pictures(recording, camera, settings.jpeg_quality)
     clock = MonotonicClock()
-    fleet = [LoadDrone(f"load-{i}", settings, pictures, clock) for i in range(drones)]
+    fleet: list[LoadDrone] = []
     stop = threading.Event()
     try:
+        for i in range(drones):
+            fleet.append(LoadDrone(f"load-{i}", settings, pictures, clock))
         for drone in fleet:
             wait_for_worker(drone.link, settings)
         start_ns = clock.now_ns()
@@ -241,12 +241,15 @@ def load_test(
 
 def main() -> None:
     """Run the command; a user's mistake ends in one line and exit code 2."""
-    app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
+    app = typer.Typer(
+        pretty_exceptions_enable=False, add_completion=False, rich_markup_mode="markdown"
+    )
     app.command(no_args_is_help=False)(load_test)
     try:
         app()
     except (ClientError, WireError) as error:
-        Console(stderr=True).print(f"load-test: {error}", style="red", markup=False, soft_wrap=True)
+        line = " ".join(str(error).split())
+        Console(stderr=True).print(f"load-test: {line}", style="red", markup=False, soft_wrap=True)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
@@ -257,7 +260,7 @@ def _pictures(
 ) -> list[CompressedFrame]:
     if recording is None:
         return [compress(_noise_frame(), jpeg_quality)]
-    source = ReplaySource(recording, load_camera(camera or recording / "camera.json"))
+    source = open_recording(recording, camera)
     step = max(1, len(source) // MAX_PICTURES)
     return [
         compress(

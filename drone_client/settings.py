@@ -22,7 +22,11 @@ class ClientSettings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix=ENV_PREFIX, frozen=True, extra="forbid")
 
-    name: str = Field("drone", pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$", description="drone's name")
+    name: str = Field(
+        "drone",
+        pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$",
+        description="this drone's name: a-z, 0-9, _ and -, at most 32",
+    )
     connect: str = Field(
         "tcp/127.0.0.1:7447", description="workers' endpoints, separated by commas"
     )
@@ -39,7 +43,9 @@ class ClientSettings(BaseSettings):
     reply_timeout_ms: float = Field(
         2000.0, gt=0, le=60_000, description="a frame counts as unanswered after this [ms]"
     )
-    jpeg_quality: int = Field(DEFAULT_JPEG_QUALITY, ge=1, le=100, description="of colour")
+    jpeg_quality: int = Field(
+        DEFAULT_JPEG_QUALITY, ge=1, le=100, description="JPEG quality of colour"
+    )
     control_hz: float = Field(50.0, ge=1, le=500, description="rate of the control loop [Hz]")
     wait_for_worker_s: float = Field(
         10.0, ge=0, le=600, description="how long to wait for a first worker [s]"
@@ -49,8 +55,8 @@ class ClientSettings(BaseSettings):
     def _age_covers_the_network(self) -> Self:
         if self.tau_max_ms > self.age_max_ms:
             raise ValueError(
-                f"tau_max_ms ({self.tau_max_ms:g}) must not exceed age_max_ms "
-                f"({self.age_max_ms:g}): the age holds the network delay"
+                f"--tau-max-ms = {self.tau_max_ms:g} exceeds --age-max-ms = {self.age_max_ms:g}: "
+                "a result is at least as old as its time on the network; raise --age-max-ms too"
             )
         return self
 
@@ -81,7 +87,16 @@ def load_settings(**flags: Any) -> ClientSettings:
             raise ClientError(str(first["ctx"]["error"])) from None
         field = str(first["loc"][0])
         source = f"--{field.replace('_', '-')}" if field in given else known_name(field)
-        raise ClientError(f"{source} = {first['input']!r}: {first['msg'].lower()}") from None
+        meaning = ClientSettings.model_fields[field].description
+        raise ClientError(
+            f"{source} = {first['input']!r}: {first['msg'].lower()} ({meaning})"
+        ) from None
+
+
+def about(field: str) -> str:
+    """Help of the flag that stands for a field: what it is, and its default."""
+    info = ClientSettings.model_fields[field]
+    return f"{info.description} (default: {info.default})"
 
 
 def known_name(field: str) -> str:
