@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
@@ -39,8 +39,9 @@ def main() -> None:
     try:
         app()
     except (EdgeError, TargetError, WireError) as error:
-        print(f"edge-service: {error}", file=sys.stderr)
-        sys.exit(EXIT_USAGE)
+        _fail(str(error))
+    except ModuleNotFoundError as error:
+        _fail(f"package {error.name} is missing; install aerial-contact[edge]")
 
 
 @app.command(
@@ -130,3 +131,8 @@ def _read(path: Path, field: str) -> bytes:
     if len(data) > MAX_FILE_BYTES:
         raise InputError(field, f"{path}: over {MAX_FILE_BYTES // 1_000_000} MB")
     return data
+
+
+def _fail(sentence: str) -> NoReturn:
+    print(f"edge-service: {sentence}", file=sys.stderr)
+    sys.exit(EXIT_USAGE)

@@ -14,6 +14,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_service.errors import ImageError
 from rgbd_wire.camera import RgbdCamera
 from rgbd_wire.clock import Clock
 from rgbd_wire.errors import DecodeError
@@ -41,7 +42,11 @@ class Detector(Protocol):
         ...
 
     def detect(self, color_rgb: NDArray[np.uint8]) -> Detections:
-        """All boxes of a picture (H, W, 3)."""
+        """All boxes of a picture (H, W, 3).
+
+        Raises:
+            ImageError: it takes no picture of that size.
+        """
         ...
 
     def describe(self) -> dict[str, Any]:
@@ -119,8 +124,11 @@ class Pipeline:
     def locate(self, frame: RgbdFrame, stages_ns: dict[str, int] | None = None) -> Output:
         """Look for the target in a frame; its stages are added to those that ran before."""
         stages_ns = {} if stages_ns is None else stages_ns
-        with self._timed("detect", stages_ns):
-            detections = self.detector.detect(frame.color_rgb)
+        try:
+            with self._timed("detect", stages_ns):
+                detections = self.detector.detect(frame.color_rgb)
+        except ImageError as error:
+            return Output(Outcome.BAD_FRAME, bounded(str(error)), stages_ns=stages_ns)
         n_boxes = sum(map(len, detections.boxes.values()))
         if n_boxes == 0:
             return Output(Outcome.NOTHING_FOUND, "no box", stages_ns=stages_ns)

@@ -19,15 +19,16 @@ PREFIX = "EDGE_"
 NAME_PATTERN = r"^[a-z0-9][a-z0-9_-]{0,31}$"
 """As ``rgbd_wire.messages.Name``; in pydantic's Rust regex ``$`` is the very end of the text."""
 _KUBERNETES_LINK = re.compile(
-    r".*_(SERVICE_HOST|SERVICE_PORT(_\w+)?|PORT|PORT_\d+_(TCP|UDP|SCTP)(_(ADDR|PORT|PROTO))?)"
+    r"\w*(SERVICE_HOST=\S+|SERVICE_PORT(_\w+)?=\d+|PORT=\w+://\S+"
+    r"|PORT_\d+_(TCP|UDP|SCTP)(=\w+://\S+|_(ADDR|PORT|PROTO)=\S+))"
 )
-_LINK_VALUE = re.compile(r"((tcp|udp|sctp)://.*|[\d.:a-f]+|tcp|udp|sctp)", re.IGNORECASE)
+"""What Kubernetes tells every pod of the Services beside it; one called "edge" has our prefix."""
 
 
 def default_name() -> str:
-    """The machine's name, as far as it may be a worker's name."""
-    name = re.sub(r"[^a-z0-9_-]+", "-", socket.gethostname().lower()).lstrip("-_")[:32]
-    return name or "worker"
+    """The machine's name, as far as it may be a worker's name; a pod's is unique by its end."""
+    name = re.sub(r"[^a-z0-9_-]+", "-", socket.gethostname().lower())
+    return name[-32:].strip("-_") or "worker"
 
 
 class EdgeSettings(BaseSettings):
@@ -94,7 +95,11 @@ class EdgeSettings(BaseSettings):
         "false for recordings with a world of their own.",
     )
     max_drones: int = Field(
-        64, ge=1, le=4096, description="Drones served at a time; frames of more are refused."
+        64,
+        ge=1,
+        le=1024,
+        description="Drones served at a time; frames of more are refused. One frame of each may "
+        "wait: 0.1 MB as a rule, 8 MB at most.",
     )
     drone_idle_s: float = Field(
         30.0, ge=1, le=3600, description="A drone silent for so long [s] may lose its place."
@@ -163,16 +168,14 @@ def load_settings(**flags: Any) -> EdgeSettings:
 
 
 def _refuse_unknown(environ: Mapping[str, str]) -> None:
-    known = [PREFIX + name.upper() for name in EdgeSettings.model_fields]
-    for name, value in environ.items():
-        if not name.startswith(PREFIX) or name in known:
-            continue
-        # Kubernetes tells every pod of the Services beside it: one called "edge" has this prefix
-        if _KUBERNETES_LINK.fullmatch(name) and _LINK_VALUE.fullmatch(value):
+    known = [name.upper() for name in EdgeSettings.model_fields]
+    for variable, value in environ.items():
+        name = variable.removeprefix(PREFIX)
+        if name == variable or name in known or _KUBERNETES_LINK.fullmatch(f"{name}={value}"):
             continue
         near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else "edge-service settings lists all"
-        raise SettingsError(f"{name} is no setting; {hint}")
+        hint = f"did you mean {PREFIX}{near[0]}?" if near else "edge-service settings lists all"
+        raise SettingsError(f"{variable} is no setting; {hint}")
 
 
 def _sentence(error: Any) -> str:

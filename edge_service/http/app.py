@@ -21,6 +21,7 @@ from edge_service.http.turnstile import BusyError, Turnstile
 from edge_service.http.uploads import TooLargeError, TooSlowError, read_fields
 from edge_service.pipeline import Output, Pipeline
 from edge_service.state import ServiceState
+from rgbd_wire.messages import Outcome
 
 RETRY_AFTER_S = 1
 
@@ -169,7 +170,10 @@ def _add_localize(app: FastAPI, state: ServiceState) -> None:
 
 def _locate(pipeline: Pipeline, fields: dict[str, bytes]) -> Output:
     frame = frame_of_files(fields["color"], fields.get("depth"), fields["camera"])
-    return pipeline.locate(frame)
+    output = pipeline.locate(frame)
+    if output.outcome is Outcome.BAD_FRAME:
+        raise InputError("color", output.reason)
+    return output
 
 
 def _with_status(body: BaseModel, status: int) -> JSONResponse:

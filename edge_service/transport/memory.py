@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 from edge_service.transport import OnFrame
 from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.messages import Ack, Result, decode_ack, decode_result
@@ -15,6 +17,7 @@ class MemoryTransport:
         self.sent: list[tuple[str, Ack | Result]] = []
         """Drone and message."""
         self._on_frame: OnFrame | None = None
+        self._changed = threading.Condition()
 
     @property
     def is_open(self) -> bool:
@@ -44,7 +47,9 @@ class MemoryTransport:
             return False
         kind, body = unseal(payload, Kind.ACK, Kind.RESULT)
         message = decode_ack(body) if kind is Kind.ACK else decode_result(body)
-        self.sent.append((drone, message))
+        with self._changed:
+            self.sent.append((drone, message))
+            self._changed.notify_all()
         return True
 
     def close(self) -> None:
@@ -58,3 +63,14 @@ class MemoryTransport:
     def results(self) -> list[Result]:
         """All results so far."""
         return [m for _, m in self.sent if isinstance(m, Result)]
+
+    def wait_for_results(self, n: int, timeout_s: float = 20.0) -> list[Result]:
+        """All results so far, once there are ``n``.
+
+        Raises:
+            TimeoutError: there were fewer within ``timeout_s``.
+        """
+        with self._changed:
+            if not self._changed.wait_for(lambda: len(self.results()) >= n, timeout_s):
+                raise TimeoutError(f"{len(self.results())} results in {timeout_s} s, not {n}")
+            return self.results()

@@ -45,13 +45,15 @@ class ZenohAddress:
             try:
                 config.insert_json5(f"{key}/endpoints", json.dumps(endpoints))
             except zenoh.ZError as error:
-                raise AddressError(f"{key} {', '.join(endpoints)}: {_plain(error)}") from None
+                raise self._error(error) from None
         for key, value in {
             # Who takes part is said by name; nobody is found by chance
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
             # Silently carries everything over 3 kB on one host, with other latencies
             "transport/shared_memory/enabled": False,
+            # A router that is not there yet, or no more, is tried again for ever
+            "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000},
             "transport/link/tx/lease": self.lease_ms,
             "transport/link/tx/keep_alive": 4,
             # A peer that announces more than any message may have is cut off before it is read
@@ -59,6 +61,24 @@ class ZenohAddress:
         }.items():
             config.insert_json5(key, json.dumps(value))
         return config
+
+    def session(self) -> zenoh.Session:
+        """An open session.
+
+        Raises:
+            AddressError: an endpoint is malformed, taken or not ours.
+        """
+        try:
+            return zenoh.open(self.config())
+        except zenoh.ZError as error:
+            raise self._error(error) from None
+
+    def _error(self, error: zenoh.ZError) -> AddressError:
+        word, endpoints = ("listen", self.listen) if self.listen else ("connect", self.connect)
+        return AddressError(
+            f"Zenoh on {', '.join(endpoints)}: {_plain(error)}; "
+            f"give another address with --{word} or EDGE_ZENOH_{word.upper()}"
+        )
 
 
 class ZenohTransport:
@@ -84,12 +104,7 @@ class ZenohTransport:
         Raises:
             AddressError: an endpoint cannot be listened on or is none.
         """
-        config = self._address.config()
-        endpoints = ", ".join(self._address.listen or self._address.connect)
-        try:
-            self._session = zenoh.open(config)
-        except zenoh.ZError as error:
-            raise AddressError(f"{endpoints}: {_plain(error)}") from None
+        self._session = self._address.session()
 
         def hand_over(sample: zenoh.Sample) -> None:
             t2_ns = time.monotonic_ns()

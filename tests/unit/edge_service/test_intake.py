@@ -1,0 +1,133 @@
+"""A message between the network and the mailbox: counted, acknowledged, answered."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import HealthCheck, given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from rgbd_wire.envelope import Kind, seal
+from rgbd_wire.errors import Reject
+from rgbd_wire.messages import Ack, Outcome, Result
+from tests.unit.edge_service.edge_fakes import Bench, HeldDetector, message
+
+GOOD = message()
+
+
+def flipped(at):
+    data = bytearray(GOOD)
+    data[at] ^= 0x10
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", Reject.TRUNCATED),
+        (GOOD[:-1], Reject.TRUNCATED),
+        (GOOD + b"x", Reject.WRONG_SIZE),
+        (flipped(0), Reject.WRONG_MAGIC),
+        (flipped(4), Reject.WRONG_VERSION),
+        (flipped(5), Reject.WRONG_KIND),
+        (flipped(len(GOOD) - 9), Reject.CHECKSUM),
+        (seal(Kind.FRAME, b"\1"), Reject.TRUNCATED),
+        (seal(Kind.FRAME, b"\xff\xff\0\0", bytes(65535)), Reject.OVERSIZED),
+        (seal(Kind.FRAME, b"\3\0\0\0", b"abc"), Reject.BAD_HEADER),
+    ],
+)
+def test_a_bad_message_is_counted_and_not_answered(data, reason):
+    """Each fault has its own counter, and the next good frame is served as if nothing had been."""
+    bench = Bench()
+    bench.service.start()
+    bench.deliver(data)
+    assert bench.count("edge_rejected_total", reason=reason.value) == 1
+    assert bench.transport.sent == []
+    bench.deliver(GOOD)
+    bench.drain()
+    assert [r.outcome for r in bench.transport.results()] == [Outcome.TARGET]
+
+
+@given(st.data())
+@hypothesis_settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+def test_no_damage_gets_past_the_checks(data):
+    """Any damage to a message is counted under one reason, raises nothing and gets no answer."""
+    damaged = bytearray(GOOD)
+    for _ in range(data.draw(st.integers(1, 4))):
+        damaged[data.draw(st.integers(0, len(GOOD) - 1))] ^= data.draw(st.integers(1, 255))
+    damaged = bytes(damaged)[: data.draw(st.integers(0, len(GOOD)))]
+    bench = Bench()
+    bench.service.start()
+    bench.deliver(damaged)
+    bench.drain()
+    counts = [bench.count("edge_rejected_total", reason=r.value) for r in Reject]
+    if damaged != GOOD:
+        assert sum(counts) == 1
+        assert bench.transport.sent == []
+
+
+def test_the_ack_comes_first_and_names_this_start_of_the_worker():
+    """Ack, then result, both with the boot id of this start and the frame's own stamps."""
+    bench = Bench()
+    bench.service.start()
+    bench.deliver(message(drone="d9", sequence=4, boot_id=77, t1_ns=123))
+    bench.drain()
+    (to_ack, ack), (to_result, result) = bench.transport.sent
+    assert (to_ack, to_result) == ("d9", "d9")
+    assert (type(ack), type(result)) == (Ack, Result)
+    assert (ack.boot_id, ack.sequence, ack.worker) == (77, 4, "w1")
+    assert (result.boot_id, result.sequence) == (77, 4)
+    assert (result.t1_ns, result.t_capture_ns) == (123, 5)
+    assert result.worker_boot_id == ack.worker_boot_id
+    other = Bench()
+    other.service.start()
+    other.deliver(GOOD)
+    other.drain()
+    assert other.transport.acks()[0].worker_boot_id != ack.worker_boot_id
+
+
+def test_a_repeated_frame_is_counted_and_not_answered_again():
+    """The same frame twice gets one ack and one result."""
+    bench = Bench()
+    bench.service.start()
+    bench.deliver(GOOD)
+    bench.deliver(GOOD)
+    bench.drain()
+    assert len(bench.transport.acks()) == len(bench.transport.results()) == 1
+    assert bench.count("edge_rejected_total", reason="repeated") == 1
+
+
+def test_displaced_overtaken_and_surplus_frames_are_told_at_once():
+    """While the worker is busy: newest wins, the late one and one drone too many are told why."""
+    detector = HeldDetector()
+    bench = Bench(detector, max_drones=1)
+    bench.service.start()
+    bench.deliver(message(sequence=0))
+    assert detector.entered.acquire(timeout=20)
+    for sequence in (3, 5, 4):
+        bench.deliver(message(sequence=sequence))
+    bench.deliver(message(drone="d2"))
+    told = {(r.drone, r.sequence): r.outcome for r in bench.transport.results()}
+    assert told == {
+        ("d1", 3): Outcome.SUPERSEDED,
+        ("d1", 4): Outcome.SUPERSEDED,
+        ("d2", 0): Outcome.OVERLOADED,
+    }
+    detector.go.release(2)
+    bench.drain()
+    results = [(r.drone, r.sequence, r.outcome) for r in bench.transport.results()[3:]]
+    assert results == [("d1", 0, Outcome.TARGET), ("d1", 5, Outcome.TARGET)]
+    assert len(bench.transport.acks()) == 5
+    assert bench.count("edge_frames_total", outcome="superseded") == 2
+    assert bench.count("edge_service_seconds_count") == 2  # those that were worked on
+
+
+def test_a_refusal_is_logged_once_for_each_reason(caplog):
+    """The counter tells how often; the log only that it is so."""
+    bench = Bench()
+    bench.service.start()
+    for _ in range(3):
+        bench.deliver(b"junk")
+    bench.deliver(flipped(4))
+    bench.drain()
+    assert [r.reason for r in caplog.records] == ["truncated", "wrong_version"]
