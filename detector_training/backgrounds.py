@@ -69,7 +69,7 @@ class Background:
     def split(self) -> Split:
         """By a hash of the key: the same on every machine, whatever else is installed."""
         digest = hashlib.sha256(self.key.encode()).digest()
-        return Split.VAL if digest[0] < 32 else Split.TRAIN
+        return Split.VAL if digest[0] < 40 else Split.TRAIN
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,9 @@ class Source:
 
 
 # Maps of normals, gloss and the like that lie beside the colour textures of games.
-_NO_COLOUR = r"(_n|_nm|_s|_z|_d|_add|normal|norm\d?|gloss|mask|local|height|spec|[a-z0-9]\d+[nsz])\."
+_NO_COLOUR = (
+    r"(_n|_nm|_s|_z|_d|_add|normal|norm\d?|gloss|mask|local|height|spec|[a-z0-9]\d+[nsz])\."
+)
 
 DEBIAN_SOURCES = (
     Source(

@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 from detector_training.backgrounds import Split, advice, find_backgrounds, of_split
 from detector_training.errors import TrainingError
 from detector_training.scenes import DatasetRequest, write_dataset
+from detector_training.scenes.recording import FRAMES, RATE_HZ, write_recording
 from target_pose.errors import TargetError
 from target_pose.target import DEFAULT_TARGET, load_target
 
@@ -83,6 +84,39 @@ def scenes(
         )
     kinds = ", ".join(f"{n} {k}" for k, n in description["kinds"].items())
     console.print(f"{out}: {kinds}; look at {out / 'contact_sheet.png'}", soft_wrap=True)
+
+
+@app.command()
+def recording(
+    out: Out,
+    seed: Seed = 1,
+    frames: Annotated[int, typer.Option(help="Number of frames, 12 a second.")] = FRAMES,
+    target: Annotated[
+        str, typer.Option(help="Packaged target, or the path of your own .toml.")
+    ] = DEFAULT_TARGET,
+    overwrite: Annotated[bool, typer.Option(help="Replace the recording in OUT.")] = False,
+) -> None:
+    """Render an approach flight in the TUM RGB-D layout, to replay without a camera.
+
+    OUT gets rgb/, depth/, rgb.txt, depth.txt, groundtruth.txt, camera.json, truth.json (the true
+    pose and boxes of each frame) and a README.md that says that it is rendered.
+
+    Example: python -m detector_training recording examples/recordings/rendered-approach --seed 1
+    """
+    loaded = load_target(target)
+    columns = (BarColumn(), MofNCompleteColumn(), "frames", TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("frames", total=frames)
+        write_recording(
+            out,
+            seed,
+            loaded,
+            command_line(),
+            frames,
+            overwrite,
+            lambda done: progress.update(task, completed=done),
+        )
+    console.print(f"{out}: {frames} frames, {RATE_HZ:g} Hz", soft_wrap=True)
 
 
 def command_line() -> str:

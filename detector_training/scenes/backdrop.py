@@ -47,7 +47,7 @@ def random_backdrop(
     else:
         surfaces = tuple(random_wall(rng, library) for _ in range(int(rng.integers(3, 8))))
         room = random_room(rng, surfaces)
-        image, _ = render(room, camera, random_view(rng, room))
+        image, _, _ = render(room, camera, random_view(rng, room))
     if rng.random() < 0.08:
         grey = image.mean(-1, keepdims=True)
         image = np.repeat(grey, 3, axis=-1)

@@ -20,7 +20,7 @@ def contact_sheet(folder: Path, labels: Sequence[dict[str, Any]]) -> NDArray[np.
     """The first pictures of a data set with their boxes, BGR."""
     tiles = []
     for label in labels[: COLUMNS * ROWS]:
-        image = cv2.imread(str(folder / label["image"]))
+        image = np.asarray(cv2.imread(str(folder / label["image"])))
         scale = (TILE[0] / image.shape[1], TILE[1] / image.shape[0])
         tile = cv2.resize(image, TILE, interpolation=cv2.INTER_AREA)
         for box in label["boxes"]:

@@ -125,7 +125,7 @@ def _run(worker: _Worker, count: int, jobs: int) -> Iterator[dict[str, Any]]:
     # spawn: a fork would copy the progress bar's thread and OpenCV's half-made pool
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread) as pool:
-        yield from pool.map(worker, range(count), chunksize=8)
+        yield from pool.map(worker, range(count), chunksize=4)
 
 
 def _one_thread() -> None:

@@ -34,7 +34,8 @@ NEGATIVE_SHARE = 0.22
 """Share of pictures without a target."""
 TARGET_PX = (9.0, 420.0)
 """Smallest and largest apparent diameter of the target's outer disc."""
-LOOKALIKE_PX = (16.0, 320.0)
+LOOKALIKE_PX = (28.0, 330.0)
+"""Smallest and largest side of a look-alike; smaller ones could not be told apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +118,7 @@ def generate(seed: tuple[int, ...], library: Library, target: Target) -> Scene:
         conditions.append("flare")
     rgb = _photograph(rng, image, conditions)
     boxes = () if pose is None else label_boxes(target, camera, pose, hidden)
-    if boxes:
+    if boxes and pose is not None:
         _note_view(conditions, boxes, pose)
     quality = int(rng.integers(35, 97))
     return Scene(
@@ -190,7 +191,7 @@ def _hang_target(
     paste(image, layer, lit)
     if rng.random() < 0.2:
         rows, columns = layer.window
-        spot = light.gloss(rng, *layer.alpha.shape, layer.x0, layer.y0, box)
+        spot = light.gloss(rng, layer, box)
         image[rows, columns] += (spot * layer.alpha)[..., None] * lamp
         conditions.append("gloss")
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector_training.scenes.image import LinearImage, Mask, luminance, smooth_noise
+from detector_training.scenes.warp import Layer
 
 
 def light_of_backdrop(
@@ -37,7 +38,7 @@ def light_of_backdrop(
 
 def shading(rng: np.random.Generator, height: int, width: int) -> Mask:
     """A field (H, W) about 1: a gradient across, and soft spots of a lamp or of the sun."""
-    y, x = np.mgrid[0:1:complex(height), 0:1:complex(width)].astype(np.float32)
+    y, x = np.mgrid[0 : 1 : complex(height), 0 : 1 : complex(width)].astype(np.float32)
     angle, strength = rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.6)
     ramp = (x - 0.5) * np.cos(angle) + (y - 0.5) * np.sin(angle)
     field = np.exp(strength * 1.6 * ramp)
@@ -66,17 +67,16 @@ def cast_shadow(rng: np.random.Generator, height: int, width: int) -> Mask:
     return np.asarray(1 - rng.uniform(0.25, 0.85) * soft, dtype=np.float32)
 
 
-def gloss(
-    rng: np.random.Generator, height: int, width: int, x0: int, y0: int, box: tuple[float, ...]
-) -> Mask:
-    """Light mirrored by the board (H, W), added to what the print reflects.
+def gloss(rng: np.random.Generator, layer: Layer, box: tuple[float, ...]) -> Mask:
+    """Light mirrored by the board, of the layer's size, added to what the print reflects.
 
-    ``x0, y0`` is where the layer lies in the image and ``box`` the board's box there.
+    ``box`` is around the board in the image.
     """
+    height, width = layer.alpha.shape
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     w, h = box[2] - box[0], box[3] - box[1]
-    cx = box[0] + rng.uniform(0, 1) * w - x0
-    cy = box[1] + rng.uniform(0, 1) * h - y0
+    cx = box[0] + rng.uniform(0, 1) * w - layer.x0
+    cy = box[1] + rng.uniform(0, 1) * h - layer.y0
     a = rng.uniform(0, np.pi)
     u = (x - cx) * np.cos(a) + (y - cy) * np.sin(a)
     v = (y - cy) * np.cos(a) - (x - cx) * np.sin(a)

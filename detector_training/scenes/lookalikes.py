@@ -21,8 +21,10 @@ from target_pose.target import Target
 Texture: TypeAlias = NDArray[np.float32]
 Drawer: TypeAlias = Callable[[np.random.Generator, int, Target], Texture]
 
-MIN_RATIO_STEP = 0.3
-"""How far, in logarithm, a look-alike's diameters are from the target's in at least one ring."""
+MIN_RATIO_STEPS = (0.3, 0.7)
+"""How far, in logarithm, a look-alike's ratios of the second and of the further discs to the outer
+one are from the target's, in at least one ring. The inner ones must differ more: from afar and
+blurred, nobody could tell a slightly larger dot."""
 
 
 def random_lookalike(rng: np.random.Generator, side_px: int, target: Target) -> Texture:
@@ -90,18 +92,22 @@ def rings_of_wrong_ratios(rng: np.random.Generator, n: int, target: Target) -> T
             diameters = list(outer * np.sort(rng.uniform(0.08, 0.95, count - 1))[::-1])
             diameters.insert(0, outer)
         ratios = np.array(diameters) / outer
-        if np.min(-np.diff(ratios)) < 0.06:
-            continue
-        true_ratios = np.array(truth) / truth[0]
-        if count != len(truth):
-            break
-        if np.abs(np.log(ratios[1:] / true_ratios[1:])).max() > MIN_RATIO_STEP:
+        if np.min(-np.diff(ratios)) >= 0.06 and is_far_from(ratios, np.array(truth) / truth[0]):
             break
     coloured = rng.random() < 0.35
     dark = rng.uniform(0.02, 0.5, 3).astype(np.float32) if coloured else paint.black
     for i, diameter in enumerate(diameters):
         _disc(image, float(diameter), dark if i % 2 == 0 else paint.white)
     return image
+
+
+def is_far_from(ratios: NDArray[np.float64], true_ratios: NDArray[np.float64]) -> bool:
+    """Whether rings of these diameters (as shares of the outermost) can be told from the target."""
+    if len(ratios) != len(true_ratios):
+        return True
+    step = np.abs(np.log(ratios[1:] / true_ratios[1:]))
+    second, further = MIN_RATIO_STEPS
+    return bool((step[:1] > second).any() or (step[1:] > further).any())
 
 
 def inverted(rng: np.random.Generator, n: int, target: Target) -> Texture:
@@ -218,7 +224,7 @@ def traffic_sign(rng: np.random.Generator, n: int, target: Target) -> Texture:
         cv2.putText(
             canvas, text, at, cv2.FONT_HERSHEY_DUPLEX, n / 90, 255, max(1, n // 40), cv2.LINE_AA
         )
-        _lay(image, canvas.astype(np.float32) / 255, np.full(3, 0.03, dtype=np.float32))
+        _lay(image, np.float32(1 / 255) * canvas, np.full(3, 0.03, dtype=np.float32))
     return image
 
 
@@ -321,5 +327,3 @@ DRAWERS: dict[str, tuple[float, Drawer]] = {
     "target_of_colour": (0.8, target_of_colour),
 }
 """Weight and drawer by name."""
-
-

@@ -48,7 +48,7 @@ def random_occluder(
         radius = rng.uniform(0.15, 0.55) * size * rng.uniform(0.5, 1.0, count)
         points = centre + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         cv2.fillPoly(mask, [np.rint(points * 16).astype(np.int32)], 255, cv2.LINE_AA, 4)
-    cover = mask.astype(np.float32) / 255
+    cover = np.float32(1 / 255) * mask
     if kind == "leaves":
         noise = cloud_noise(rng, height, width, int(np.clip(4 * width / max(size, 8), 4, 60)), 2)
         cover *= np.clip(noise * 4, 0, 1)
@@ -78,7 +78,7 @@ def contact_arm(rng: np.random.Generator, shape: tuple[int, int]) -> Occluder:
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     side = ((x - start[0]) * across[0] + (y - start[1]) * across[1]) / max(thick0, 1)
     colour *= np.clip(1 + 0.5 * side, 0.3, 1.7)[..., None]
-    return Occluder(colour.astype(np.float32), mask.astype(np.float32) / 255)
+    return Occluder(colour.astype(np.float32), np.float32(1 / 255) * mask)
 
 
 def _painted(rng: np.random.Generator, shape: tuple[int, int]) -> LinearImage:

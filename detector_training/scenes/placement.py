@@ -67,12 +67,16 @@ def random_placement(
         size = math.exp(rng.uniform(math.log(size_px[0]), math.log(size_px[1])))
         centre = _centre_px(rng, camera, size * side_m / shape_m)
         distance = camera.fx * shape_m / size
-        ray = np.array([(centre[0] - camera.cx) / camera.fx, (centre[1] - camera.cy) / camera.fy, 1])
+        ray = np.array(
+            [(centre[0] - camera.cx) / camera.fx, (centre[1] - camera.cy) / camera.fy, 1]
+        )
         tilt = abs(rng.normal(0, math.radians(28)))
         if rng.random() < 0.25:
             tilt = rng.uniform(0, math.radians(70))
         # mostly a camera that looks from the side, or from below and above
-        roll = rng.normal(0, math.radians(9)) if rng.random() < 0.9 else rng.uniform(-math.pi, math.pi)
+        roll = (
+            rng.normal(0, math.radians(9)) if rng.random() < 0.9 else rng.uniform(-math.pi, math.pi)
+        )
         pose = facing(
             ray * distance, min(tilt, math.radians(70)), rng.uniform(0, 2 * math.pi), roll
         )

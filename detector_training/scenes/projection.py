@@ -90,7 +90,12 @@ def share_inside(points: Array, width: int, height: int) -> float:
     if whole <= 0:
         return 0.0
     clipped = points
-    for axis, limit, sign in ((0, -0.5, 1), (0, width - 0.5, -1), (1, -0.5, 1), (1, height - 0.5, -1)):
+    for axis, limit, sign in (
+        (0, -0.5, 1),
+        (0, width - 0.5, -1),
+        (1, -0.5, 1),
+        (1, height - 0.5, -1),
+    ):
         clipped = _clip(clipped, axis, limit, sign)
     return min(1.0, polygon_area(clipped) / whole)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_wire.camera import CameraIntrinsics
-from rgbd_wire.geometry import Array, Pose
+from rgbd_wire.geometry import Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,13 +104,11 @@ def world_points(
     rays_camera: NDArray[np.float32], world_from_camera: Pose, hits: Hits
 ) -> NDArray[np.float32]:
     """Where the rays hit (H, W, 3) [m] in the world."""
-    p: Array = rays_camera * hits.depth_m[..., None]
+    p = rays_camera * hits.depth_m[..., None]
     r = world_from_camera.rotation.T.astype(np.float32)
     return np.asarray(p @ r + world_from_camera.translation.astype(np.float32), dtype=np.float32)
 
 
-def _axis_of(
-    extreme: NDArray[np.float32], by_axis: list[NDArray[np.float32]]
-) -> NDArray[np.int8]:
+def _axis_of(extreme: NDArray[np.float32], by_axis: list[NDArray[np.float32]]) -> NDArray[np.int8]:
     """Which of three arrays (H, W) holds their minimum or maximum."""
     return np.where(extreme == by_axis[0], 0, np.where(extreme == by_axis[1], 1, 2)).astype(np.int8)

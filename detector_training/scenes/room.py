@@ -53,9 +53,7 @@ def random_room(rng: np.random.Generator, surfaces: tuple[Surface, ...]) -> Room
     for _ in boxes:
         one = int(rng.integers(kinds))
         mixed = rng.random() < 0.3
-        covering.append(
-            tuple(int(k) for k in rng.integers(0, kinds, 6)) if mixed else (one,) * 6
-        )
+        covering.append(tuple(int(k) for k in rng.integers(0, kinds, 6)) if mixed else (one,) * 6)
     return Room(
         Box((-w / 2, -d / 2, 0.0), (w / 2, d / 2, h)),
         tuple(boxes),
@@ -92,8 +90,11 @@ def looking(
 
 def render(
     room: Room, camera: CameraIntrinsics, world_from_camera: Pose, supersampling: int = 1
-) -> tuple[LinearImage, Hits]:
-    """The room without a target, and what each finer sample hits."""
+) -> tuple[LinearImage, NDArray[np.float32], Hits]:
+    """The room as the camera sees it, the light (H, W) that falls there, and what is hit.
+
+    With supersampling the picture and the light are averaged over each pixel, the hits are not.
+    """
     rays = pixel_rays(camera, supersampling)
     hits = cast(rays, world_from_camera, room.walls, room.furniture)
     points = world_points(rays, world_from_camera, hits)
@@ -104,11 +105,13 @@ def render(
         if not seen.any():
             continue
         image[seen] = _tiled(surface, hits.uv_m / room.metres_per_tile[k], seen)
-    image *= light_at(room, points, hits.face)[..., None]
+    light = light_at(room, points, hits.face)
+    image *= light[..., None]
     if supersampling > 1:
         size = (camera.width, camera.height)
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
-    return image, hits
+        light = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA))
+    return image, light, hits
 
 
 def light_at(
@@ -133,9 +136,7 @@ def _tiled(
     n = surface.shape[0]
     du = np.abs(np.diff(uv[..., 0], axis=1)[seen[:, 1:]])
     dv = np.abs(np.diff(uv[..., 1], axis=0)[seen[1:, :]])
-    step = max(
-        float(np.median(du)) if du.size else 0.0, float(np.median(dv)) if dv.size else 0.0
-    )
+    step = max(float(np.median(du)) if du.size else 0.0, float(np.median(dv)) if dv.size else 0.0)
     wanted = int(np.clip(1 / max(step, 1e-6), 8, n))
     if wanted < n:
         surface = np.asarray(cv2.resize(surface, (wanted, wanted), interpolation=cv2.INTER_AREA))
@@ -145,9 +146,9 @@ def _tiled(
     # remap takes at most 32767 columns: fold the list of samples into rows
     count = len(texel)
     rows = -(-count // 16384)
-    grid = np.zeros((rows * 16384, 2), dtype=np.float32)
-    grid[:count] = texel
-    grid = grid.reshape(rows, 16384, 2)
+    samples = np.zeros((rows * 16384, 2), dtype=np.float32)
+    samples[:count] = texel
+    grid = samples.reshape(rows, 16384, 2)
     sampled = cv2.remap(padded, grid[..., 0], grid[..., 1], cv2.INTER_LINEAR)
     return np.asarray(sampled.reshape(-1, 3)[:count])
 

@@ -35,7 +35,9 @@ def blurred(image: LinearImage, kernel: NDArray[np.float32]) -> LinearImage:
     return np.asarray(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE))
 
 
-def random_optics(rng: np.random.Generator, image: LinearImage, conditions: list[str]) -> LinearImage:
+def random_optics(
+    rng: np.random.Generator, image: LinearImage, conditions: list[str]
+) -> LinearImage:
     """Lens softness always; defocus and motion blur at times; named in ``conditions``."""
     if rng.random() < 0.35:
         length = float(np.exp(rng.uniform(np.log(2), np.log(16))))
@@ -67,7 +69,7 @@ def random_exposure(
 def vignette(rng: np.random.Generator, image: LinearImage) -> LinearImage:
     """Darker corners, cos^4 and more."""
     h, w = image.shape[:2]
-    y, x = np.mgrid[-1:1:complex(h), -1:1:complex(w)].astype(np.float32)
+    y, x = np.mgrid[-1 : 1 : complex(h), -1 : 1 : complex(w)].astype(np.float32)
     return np.asarray(image / (1 + rng.uniform(0, 0.35) * (x * x + y * y)[..., None]) ** 2)
 
 
@@ -81,10 +83,10 @@ def add_noise(
     """
     fine = rng.standard_normal(image.shape, dtype=np.float32)
     if grain > 0:
-        soft = np.asarray(cv2.GaussianBlur(fine, (0, 0), 0.9)) * 2.5
-        fine = (1 - grain) * fine + grain * soft
+        soft: LinearImage = cv2.GaussianBlur(fine, (0, 0), 0.9) * np.float32(3.2)
+        fine = np.asarray(np.float32(1 - grain) * fine + np.float32(grain) * soft)
     sigma = np.sqrt(np.clip(image, 0, None) / full_well + read * read)
-    return np.asarray(image + sigma * fine)
+    return np.asarray(image + sigma * fine, dtype=np.float32)
 
 
 def develop(

@@ -61,7 +61,7 @@ def tiles(rng: np.random.Generator, n: int) -> Surface:
 def cabinets(rng: np.random.Generator, n: int) -> Surface:
     """Doors and drawers with gaps, handles and a sheen, each of one colour."""
     colour = random_colour(rng)
-    gradient = np.linspace(*rng.uniform(0.6, 1.4, 2), n, dtype=np.float32)
+    gradient = np.linspace(rng.uniform(0.6, 1.4), rng.uniform(0.6, 1.4), n, dtype=np.float32)
     image = _shaded(colour, np.broadcast_to(gradient[:, None], (n, n)))
     columns = int(rng.integers(2, 6))
     dark, metal = colour * 0.25, np.full(3, rng.uniform(0.2, 0.9), dtype=np.float32)
@@ -116,8 +116,13 @@ def clutter(rng: np.random.Generator, n: int) -> Surface:
             if rng.random() < 0.5:
                 inner = random_colour(rng)
                 _rectangle(
-                    image, int(x + w // 5), int(y + h // 5), int(x + w // 2), int(y + h // 2),
-                    inner, -1,
+                    image,
+                    int(x + w // 5),
+                    int(y + h // 5),
+                    int(x + w // 2),
+                    int(y + h // 2),
+                    inner,
+                    -1,
                 )
         else:
             cv2.circle(image, (int(x), int(y)), int(w // 2), colour.tolist(), -1, cv2.LINE_AA)

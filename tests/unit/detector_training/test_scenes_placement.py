@@ -1,0 +1,49 @@
+"""Where the generator puts the camera and the target."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from detector_training.scenes.placement import facing, random_camera, random_placement
+from detector_training.scenes.projection import circle_box, image_from_board, is_in_front
+
+
+def test_an_upright_board_straight_ahead_has_the_frames_of_the_docs():
+    """Target x comes towards us, y is to our right, z is up."""
+    pose = facing(np.array([0.0, 0.0, 2.0]), 0.0, 0.0, 0.0)
+    expected = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+    np.testing.assert_allclose(pose.rotation, expected, atol=1e-12)
+
+
+@given(st.floats(0, 1.2), st.floats(0, 6.28), st.floats(-3.1, 3.1))
+def test_tilt_is_the_angle_between_normal_and_sight(tilt, about, roll):
+    """Whatever the axis and the roll, the board's normal is tilted by what was asked."""
+    centre = np.array([0.4, -0.3, 1.7])
+    pose = facing(centre, tilt, about, roll)
+    cosine = -(pose.rotation[:, 0] @ centre) / np.linalg.norm(centre)
+    assert cosine == pytest.approx(math.cos(tilt), abs=1e-9)
+    np.testing.assert_allclose(pose.translation, centre)
+
+
+def test_placements_cover_near_and_far_tilted_and_cut():
+    """Over 400 draws: all in front, sizes span the range, some cut, some tilted over 45 degrees."""
+    rng = np.random.default_rng(5)
+    sizes, cut, tilted = [], 0, 0
+    for _ in range(400):
+        camera = random_camera(rng)
+        pose = random_placement(rng, camera, 0.4, 0.3, (10.0, 400.0))
+        assert is_in_front(pose, 0.4)
+        x0, y0, x1, y1 = circle_box(image_from_board(camera, pose), 0.15)
+        sizes.append(max(x1 - x0, y1 - y0))
+        cut += x0 < 0 or y0 < 0 or x1 > 639 or y1 > 479
+        sight = pose.translation / np.linalg.norm(pose.translation)
+        tilted += -(pose.rotation[:, 0] @ sight) < math.cos(math.radians(45))
+    assert min(sizes) < 14
+    assert max(sizes) > 300
+    assert 40 < cut < 250
+    assert tilted > 30
