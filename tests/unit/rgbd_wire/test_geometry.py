@@ -91,6 +91,14 @@ def test_rotation_of_a_rotation_vector(v):
     np.testing.assert_allclose(rotation_from_vector(v), expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("angle_rad", [1e-12, 1e-9, 1e-8, 1e-7, 1e-5, 1e-4, 1e-3, 1e-2])
+def test_rotation_of_a_small_rotation_vector(angle_rad):
+    """Where its fractions turn into 0/0, Rodrigues' formula keeps all digits."""
+    v = angle_rad * unit((1.0, -2.0, 3.0))
+    expected = Rotation.from_rotvec(v).as_matrix()
+    np.testing.assert_allclose(rotation_from_vector(v), expected, atol=1e-15)
+
+
 @given(quaternions)
 def test_rotation_vector_of_a_rotation(q):
     """The rotation vector is at most half a turn long and gives the rotation back."""

@@ -1,0 +1,203 @@
+"""Time and bytes of the picture codecs, as ratios to PNG level 1 in the same run.
+
+``python tests/perf/bench_codec.py [FOLDER]`` - FOLDER holds ``depth/*.png`` (16 bit) and, if there,
+``rgb/*.png``; without it only the synthetic pictures are measured. One thread; the codecs take
+turns on each picture, so that a busy machine slows them alike.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_wire.color import decode_color, encode_color
+from rgbd_wire.depth import DepthTable, decode_depth, encode_depth
+
+D455_LATTICE_M = 380.0 * 0.095 * 32
+SCALE_M = 0.001
+SIZE = (480, 640)
+
+
+@dataclass(frozen=True, slots=True)
+class Codec:
+    """A pair of functions; ``decode`` takes what ``encode`` gives."""
+
+    name: str
+    encode: Callable[[NDArray[Any]], Any]
+    decode: Callable[[Any], Any]
+    weigh: Callable[[Any], int]
+    lossless: bool
+
+
+def png() -> Codec:
+    """The reference."""
+    return Codec(
+        "PNG level 1",
+        lambda picture: cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1],
+        lambda data: cv2.imdecode(data, cv2.IMREAD_UNCHANGED),
+        len,
+        lossless=True,
+    )
+
+
+def depth_codec(name: str, lattice_m: float) -> Codec:
+    """Our depth codec, told of a lattice or not."""
+
+    def decode(coded: tuple[DepthTable, bytes, int, int]) -> NDArray[np.uint16]:
+        table, data, width, height = coded
+        return decode_depth(data, table, width, height, lattice_m, SCALE_M)
+
+    return Codec(
+        name,
+        lambda d: (*encode_depth(d, lattice_m, SCALE_M), d.shape[1], d.shape[0]),
+        decode,
+        lambda coded: len(coded[1]),
+        lossless=True,
+    )
+
+
+def color_codec() -> Codec:
+    """Our colour codec."""
+    return Codec(
+        "JPEG q80",
+        lambda c: (encode_color(c), c.shape[1], c.shape[0]),
+        lambda coded: decode_color(*coded),
+        lambda coded: len(coded[0]),
+        lossless=False,
+    )
+
+
+def synthetic_depth(seed: int, *, on_lattice: bool) -> NDArray[np.uint16]:
+    """A room as a stereo camera sees it: walls, boxes, disparity noise, holes, edge shadows."""
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+    inverse_m = 1 / rng.uniform(2.5, 4) + 4e-4 * (u - 320) * rng.uniform(-1, 1)
+    inverse_m = np.maximum(inverse_m, (v - 240) / 380 / 1.2)  # the floor
+    for _ in range(12):
+        x, y = rng.integers(0, SIZE[1]), rng.integers(0, SIZE[0])
+        w, h = rng.integers(20, 160, 2)
+        box = inverse_m[y : y + h, x : x + w]
+        np.maximum(box, 1 / rng.uniform(1, 3.5), out=box)
+    noise = cv2.GaussianBlur(rng.normal(0, 1, SIZE), (0, 0), 1.2)
+    disparity = np.rint(D455_LATTICE_M * inverse_m + 2.0 / noise.std() * noise)
+    depth_m = D455_LATTICE_M / np.maximum(disparity, 1)
+    if not on_lattice:
+        depth_m *= 1.003
+    holes = cv2.GaussianBlur(rng.normal(0, 1, SIZE), (0, 0), 6)
+    shadow = np.abs(np.diff(inverse_m, axis=1, prepend=0)) > 0.02
+    depth_m[(holes > np.quantile(holes, 0.85)) | shadow] = 0
+    return np.asarray(np.rint(depth_m / SCALE_M).clip(0, 65535), np.uint16)
+
+
+def synthetic_color(seed: int) -> NDArray[np.uint8]:
+    """Shaded boxes with sensor noise, RGB."""
+    rng = np.random.default_rng(seed)
+    picture = np.full((*SIZE, 3), 120.0)
+    for _ in range(60):
+        x, y = rng.integers(0, SIZE[1]), rng.integers(0, SIZE[0])
+        w, h = rng.integers(10, 200, 2)
+        picture[y : y + h, x : x + w] = rng.uniform(20, 235, 3)
+    picture = cv2.GaussianBlur(picture, (0, 0), 1.0) + rng.normal(0, 2, picture.shape)
+    return np.asarray(picture.clip(0, 255), np.uint8)
+
+
+def recorded(folder: Path, count: int) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:
+    """Up to ``count`` depth and colour pictures of a folder, evenly spread."""
+
+    def spread(name: str, flags: int) -> list[NDArray[Any]]:
+        paths = sorted((folder / name).glob("*.png")) or sorted((folder / name).glob("*.jpg"))
+        step = max(1, len(paths) // count)
+        pictures = [cv2.imread(str(path), flags) for path in paths[::step][:count]]
+        return [picture for picture in pictures if picture is not None]
+
+    depth = [d for d in spread("depth", cv2.IMREAD_UNCHANGED) if d.dtype == np.uint16]
+    color = [c[..., ::-1].copy() for c in spread("rgb", cv2.IMREAD_COLOR)]
+    if not depth:
+        raise SystemExit(f"{folder}: no 16-bit pictures in {folder / 'depth'}")
+    return depth, color
+
+
+def timed_ms(work: Callable[[Any], Any], argument: Any) -> tuple[float, Any]:
+    """Time of one call, and what it gave."""
+    start = time.perf_counter()
+    result = work(argument)
+    return 1e3 * (time.perf_counter() - start), result
+
+
+def measure(pictures: list[NDArray[Any]], codecs: list[Codec], repeats: int) -> NDArray[np.float64]:
+    """Encode [ms], decode [ms] and bytes: (codec, picture, 3), best of ``repeats`` for times."""
+    figures = np.full((len(codecs), len(pictures), 3), np.inf)
+    for k, picture in enumerate(pictures):
+        for _ in range(repeats):
+            for i, codec in enumerate(codecs):
+                encode_ms, coded = timed_ms(codec.encode, picture)
+                decode_ms, decoded = timed_ms(codec.decode, coded)
+                if codec.lossless and not np.array_equal(decoded, picture):
+                    raise SystemExit(f"{codec.name} is not lossless")
+                figures[i, k] = np.minimum(
+                    figures[i, k], (encode_ms, decode_ms, codec.weigh(coded))
+                )
+    return figures
+
+
+def report(title: str, figures: NDArray[np.float64], codecs: list[Codec]) -> None:
+    """One row per codec: median (10th to 90th percentile) and the median ratio to the first."""
+    print(f"\n{title}, {figures.shape[1]} pictures")
+    print(f"{'':14}{'encode ms':>24}{'ratio':>7}{'decode ms':>24}{'ratio':>7}", end="")
+    print(f"{'kB':>24}{'ratio':>7}")
+    scale = np.array([1.0, 1.0, 1e-3])
+    for i, codec in enumerate(codecs):
+        print(f"{codec.name:14}", end="")
+        low, mid, high = np.quantile(figures[i] * scale, (0.1, 0.5, 0.9), axis=0)
+        ratios = np.median(figures[i] / figures[0], axis=0)
+        for column in range(3):
+            spread = f"{mid[column]:.2f} ({low[column]:.2f}-{high[column]:.2f})"
+            print(f"{spread:>24}{ratios[column]:7.2f}", end="")
+        print()
+
+
+def main() -> None:
+    """Measure the synthetic pictures, and a folder's if one is given."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--pictures", type=int, default=40)
+    parser.add_argument("--repeats", type=int, default=5)
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    plain = depth_codec("JXL plain", 0.0)
+    ranked = depth_codec("JXL ranks", D455_LATTICE_M)
+    seeds = range(options.pictures)
+    runs: list[tuple[str, list[NDArray[Any]], list[Codec]]] = [
+        (
+            "synthetic depth on the lattice",
+            [synthetic_depth(s, on_lattice=True) for s in seeds],
+            [png(), plain, ranked],
+        ),
+        (
+            "synthetic depth off the lattice",
+            [synthetic_depth(s, on_lattice=False) for s in seeds],
+            [png(), plain, ranked],
+        ),
+        ("synthetic colour", [synthetic_color(s) for s in seeds], [png(), color_codec()]),
+    ]
+    if options.folder is not None:
+        depth, color = recorded(options.folder, options.pictures)
+        runs.append((f"depth of {options.folder.name}", depth, [png(), plain]))
+        if color:
+            runs.append((f"colour of {options.folder.name}", color, [png(), color_codec()]))
+    for number, (title, pictures, codecs) in enumerate(runs, 1):
+        sys.stderr.write(f"{number}/{len(runs)} {title}\n")
+        report(title, measure(pictures, codecs, options.repeats), codecs)
+
+
+if __name__ == "__main__":
+    main()
