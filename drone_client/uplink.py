@@ -147,6 +147,7 @@ class Uplink:
     def _choose_worker(self) -> str | None:
         live = self._link.workers()
         with self._room:
+            self._expire()  # the frame may have come long after there was room
             self._silent.intersection_update(live)  # one that went and came back starts afresh
             silent = frozenset(self._silent)
         worker = choose_worker(self._settings.drone, live, self._worker, silent)
