@@ -1,0 +1,77 @@
+"""Airframe files: what they may say, and one line for what they may not."""
+
+import numpy as np
+import pytest
+
+from drone_client.airframe import FLU_FROM_RDF, MAX_AIRFRAME_BYTES, Airframe, load_airframe
+from drone_client.errors import AirframeError
+
+
+def test_reads_both_poses(tmp_path):
+    """Translation and quaternion of the camera and the tip."""
+    path = tmp_path / "drone.toml"
+    path.write_text(
+        "[body_from_camera]\ntranslation_m = [0.1, 0, 0.02]\nq_wxyz = [0, 1, 0, 0]\n"
+        "[body_from_tip]\ntranslation_m = [0.7, 0.0, -0.1]\n"
+    )
+    airframe = load_airframe(path)
+    np.testing.assert_allclose(airframe.body_from_camera.translation, (0.1, 0, 0.02))
+    np.testing.assert_allclose(airframe.body_from_camera.q_wxyz, (0, 1, 0, 0))
+    np.testing.assert_allclose(airframe.body_from_tip.translation, (0.7, 0, -0.1))
+    np.testing.assert_allclose(airframe.body_from_tip.q_wxyz, (1, 0, 0, 0))
+
+
+def test_what_is_left_out_keeps_its_default(tmp_path):
+    """An empty file is the default drone."""
+    path = tmp_path / "drone.toml"
+    path.write_text("")
+    airframe, default = load_airframe(path), Airframe()
+    np.testing.assert_array_equal(airframe.body_from_camera.matrix, default.body_from_camera.matrix)
+    np.testing.assert_array_equal(airframe.body_from_tip.matrix, default.body_from_tip.matrix)
+
+
+def test_the_default_camera_looks_ahead():
+    """The optical axis is the body's x, the picture's right the body's right (-y), down its -z."""
+    turn = Airframe().body_from_camera.rotation
+    np.testing.assert_allclose(turn @ (0, 0, 1), (1, 0, 0), atol=1e-12)
+    np.testing.assert_allclose(turn @ (1, 0, 0), (0, -1, 0), atol=1e-12)
+    np.testing.assert_allclose(turn @ (0, 1, 0), (0, 0, -1), atol=1e-12)
+    np.testing.assert_allclose(turn, FLU_FROM_RDF, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (b"[body_from_camera", "Expected"),
+        (b"\xff\xfe", "decode"),
+        (b"[wings]\nn = 2", "unknown 'wings'; known: body_from_camera"),
+        (b'"two\\nlines" = 1', r"unknown 'two\nlines'"),
+        (b"body_from_tip = 3", r"[body_from_tip] lacks translation_m"),
+        (b"[body_from_tip]\nq_wxyz = [1, 0, 0, 0]", "lacks translation_m"),
+        (b"[body_from_tip]\ntranslation_m = [0, 0]", "(3,)"),
+        (b"[body_from_tip]\ntranslation_m = [0, 0, nan]", "finite"),
+        (b"[body_from_tip]\ntranslation_m = 'far'", "could not convert"),
+        (b"[body_from_tip]\ntranslation_m = 1979-05-27", "body_from_tip"),
+        (b"[body_from_tip]\ntranslation_m = [550, 0, 0]", "over 5 m"),
+        (b"[body_from_tip]\ntranslation_m = [0, 0, 0]\nq_wxyz = [2, 0, 0, 0]", "unit length"),
+        (b"[body_from_tip]\ntranslation_m = [0, 0, 0]\nroll = 1", "unknown 'roll'"),
+        (b"#" * (MAX_AIRFRAME_BYTES + 1), "over 65536 bytes"),
+        (b"x = " + b"[" * 5000, ""),
+    ],
+)
+def test_a_wrong_file_gives_one_line_with_its_name_and_what_is_wrong(tmp_path, text, says):
+    """Each mistake is told with the file and the field."""
+    path = tmp_path / "drone.toml"
+    path.write_bytes(text)
+    with pytest.raises(AirframeError) as caught:
+        load_airframe(path)
+    line = str(caught.value)
+    assert line.startswith(f"airframe file {path}: ")
+    assert says in line
+    assert "\n" not in line
+
+
+def test_a_missing_file_is_told(tmp_path):
+    """With its path."""
+    with pytest.raises(AirframeError, match=r"nowhere\.toml: No such file"):
+        load_airframe(tmp_path / "nowhere.toml")
