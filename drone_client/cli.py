@@ -9,6 +9,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
 
+import cv2
 import typer
 from rich.console import Console
 from rich.markup import escape
@@ -152,6 +153,7 @@ def snap(
 def main() -> None:
     """Run the command; a user's mistake ends in one line and exit code 2, never a traceback."""
     signal.signal(signal.SIGTERM, _interrupt)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line is ours
     try:
         app(standalone_mode=True)
     except (ClientError, WireError) as error:

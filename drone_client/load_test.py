@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
+import cv2
 import numpy as np
 import typer
 from rich.console import Console
@@ -245,6 +246,7 @@ def main() -> None:
         pretty_exceptions_enable=False, add_completion=False, rich_markup_mode="markdown"
     )
     app.command(no_args_is_help=False)(load_test)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line is ours
     try:
         app()
     except (ClientError, WireError) as error:
