@@ -15,9 +15,9 @@ from detector_training.assign import Truth
 from detector_training.augment import Crop, augment
 from detector_training.dataset import Sample, decode_image, read_bytes
 
-SIZES = ((320, 256), (384, 320), (480, 384), (640, 480))
+SIZES = ((256, 192), (320, 256), (448, 352), (640, 480))
 """Width and height of the crops [px]; all pictures of a batch share one."""
-SIZE_SHARES = (0.55, 0.25, 0.12, 0.08)
+SIZE_SHARES = (0.4, 0.35, 0.15, 0.1)
 """Most crops are small: on a CPU the number of different ones seen is what counts."""
 
 MAX_CACHE_BYTES = 2 << 30

@@ -14,6 +14,9 @@ from edge_service.detector.net import Prediction
 
 SCORE_GAIN = 1.0
 BOX_GAIN = 5.0
+MIN_WEIGHT_PER_PICTURE = 4.0
+"""The losses are divided by the sum of the target scores (about 15 in a picture with a target once
+the net is good); never by less than this, or pictures without a target would rule the gradient."""
 EPSILON = 1e-7
 
 
@@ -64,7 +67,7 @@ def detection_loss(
         for s, b, truth in zip(scores, boxes.detach(), truths, strict=True)
     ]
     target = Assignment(*(torch.stack(parts) for parts in zip(*found, strict=True)))
-    weight_sum = target.scores.sum().clamp_min(1.0)
+    weight_sum = target.scores.sum().clamp_min(MIN_WEIGHT_PER_PICTURE * len(truths))
     per_cell = torch.nn.functional.binary_cross_entropy_with_logits(
         prediction.logits, target.scores, reduction="none"
     )

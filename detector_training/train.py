@@ -19,8 +19,8 @@ from torch import nn
 from detector_training.batches import Batch, BatchSource, prefetched
 from detector_training.dataset import CLASSES, Sample
 from detector_training.errors import TrainingError
-from detector_training.loss import Loss, detection_loss
-from edge_service.detector.boxes import cell_centers
+from detector_training.loss import Loss
+from detector_training.replicas import Replicas
 from edge_service.detector.net import NetConfig, TargetNet
 from edge_service.detector.weights import save_weights
 
@@ -29,10 +29,10 @@ WEIGHTS = "weights.safetensors"
 LOG = "log.csv"
 LOG_FIELDS = ("step", "images", "elapsed_s", "learning_rate", "loss", "score_loss", "box_loss")
 
-WARM_UP_STEPS = 200
+WARM_UP_STEPS = 150
 FINAL_RATE = 0.02
 """Learning rate at the end, as a share of the highest."""
-AVERAGE_DECAY = 0.999
+AVERAGE_DECAY = 0.998
 GRADIENT_LIMIT = 10.0
 
 
@@ -52,10 +52,12 @@ class TrainSettings:
     width: int = 16
     learning_rate: float = 2e-3
     weight_decay: float = 0.02
-    batch_pixels: int = 16 * 320 * 256
+    batch_pixels: int = 8 * 320 * 256
     """Pixels of a batch; larger crops come in smaller batches."""
     target: str = "bullseye-400"
     bfloat16: bool = True
+    workers: int = 1
+    """CPUs to use; the result depends on it, since each norms its own share of a batch."""
     checkpoint_steps: int = 100
 
     def __post_init__(self) -> None:
@@ -67,6 +69,8 @@ class TrainSettings:
             raise TrainingError(f"epochs = {self.epochs} is not in [1, 100000]")
         if not 0 <= self.seed < 1 << 63:
             raise TrainingError(f"seed = {self.seed} is not in [0, 2^63)")
+        if not 1 <= self.workers <= 256:
+            raise TrainingError(f"workers = {self.workers} is not in [1, 256]")
         if not 0 < self.learning_rate <= 1:
             raise TrainingError(f"learning rate = {self.learning_rate} is not in (0, 1]")
 
@@ -130,11 +134,14 @@ def train(
     _trim_log(run / LOG, state.step)
     source = BatchSource(samples, settings.batch_pixels, settings.seed)
     started = time.monotonic() - state.elapsed_s
-    with closing(prefetched(source, state.step)) as batches:
+    with (
+        closing(prefetched(source, state.step)) as batches,
+        Replicas(state.net, settings.workers, settings.bfloat16) as replicas,
+    ):
         while (share := _share_done(state, len(samples), settings)) < 1:
             batch = next(batches)
             rate = settings.learning_rate * schedule(share, state.step)
-            loss = train_step(state.net, state.optimizer, batch, rate, settings.bfloat16)
+            loss = train_step(state.net, replicas, state.optimizer, batch, rate)
             if not math.isfinite(float(loss.total)):
                 raise TrainingError(
                     f"the loss is {float(loss.total)} at step {state.step}; lower --learning-rate"
@@ -159,24 +166,18 @@ def schedule(share: float, step: int) -> float:
 
 def train_step(
     net: TargetNet,
+    replicas: Replicas,
     optimizer: torch.optim.Optimizer,
     batch: Batch,
     learning_rate: float,
-    bfloat16: bool,
 ) -> Loss:
     """One step down the gradient; the loss is the one before the step."""
     for group in optimizer.param_groups:
         group["lr"] = learning_rate
-    images = batch.images.contiguous(memory_format=torch.channels_last).float() / 255
-    centers, strides = cell_centers(images.shape[2], images.shape[3])
-    with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
-        prediction = net(images)
-    loss = detection_loss(prediction, batch.truths, centers, strides)
-    optimizer.zero_grad(set_to_none=True)
-    loss.total.backward()  # type: ignore[no-untyped-call] # torch leaves it untyped
+    loss = replicas.backward(batch)
     nn.utils.clip_grad_norm_(net.parameters(), GRADIENT_LIMIT)
     optimizer.step()
-    return Loss(loss.total.detach(), loss.score, loss.box)
+    return loss
 
 
 @torch.no_grad()
@@ -214,7 +215,7 @@ def _share_done(state: _State, n_samples: int, settings: TrainSettings) -> float
 def _comparable(settings: TrainSettings) -> dict[str, Any]:
     """What must not change between a run and its resumption (a longer run is a fair wish)."""
     fixed = asdict(settings)
-    for free in ("minutes", "epochs", "checkpoint_steps"):
+    for free in ("minutes", "epochs", "checkpoint_steps", "workers"):
         del fixed[free]
     return fixed
 

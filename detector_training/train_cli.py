@@ -21,6 +21,7 @@ from detector_training.errors import TrainingError
 from detector_training.evaluate import Report, Scores, evaluate_detector
 from detector_training.plot import plot_log
 from edge_service.detector.engine import SCORE_THRESHOLD, TorchDetector
+from edge_service.detector.threads import available_cpus
 from edge_service.errors import EdgeError
 from target_pose.errors import TargetError
 from target_pose.target import load_target
@@ -46,13 +47,19 @@ def train(
     epochs: Annotated[int | None, typer.Option(help="Length of the run, instead.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything left to chance.")] = 0,
     learning_rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 2e-3,
+    workers: Annotated[int | None, typer.Option(help="CPUs to use; default: all.")] = None,
     target: Annotated[str, typer.Option(help="Target that the data shows.")] = "bullseye-400",
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
 ) -> None:
     """Train the detector on a data set; leaves weights, a log and its plot in --out."""
     with _one_line_errors():
         settings = training.TrainSettings(
-            minutes, epochs, seed, learning_rate=learning_rate, target=target
+            minutes,
+            epochs,
+            seed,
+            learning_rate=learning_rate,
+            target=target,
+            workers=available_cpus() if workers is None else workers,
         )
         samples = load_dataset(data)
         held_out = load_dataset(val) if val else ()

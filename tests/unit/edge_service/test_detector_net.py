@@ -74,7 +74,7 @@ def test_a_fresh_net_expects_next_to_nothing():
     """The prior keeps the first loss small: scores start near one in a hundred."""
     torch.manual_seed(0)
     scores = TargetNet(CONFIG).eval()(torch.rand(1, 3, 64, 64)).logits.sigmoid()
-    assert float(scores.mean()) == pytest.approx(PRIOR_SCORE, rel=1.0)
+    assert PRIOR_SCORE / 10 < float(scores.mean()) < PRIOR_SCORE * 10
 
 
 def test_every_class_has_its_own_box():
