@@ -106,7 +106,7 @@ def localize(
     if json:
         print(body.model_dump_json(indent=2))
     else:
-        Console().print(report(body))
+        _console().print(report(body))
     raise typer.Exit(0 if body.target is not None else EXIT_NO_TARGET)
 
 
@@ -119,7 +119,12 @@ def list_settings() -> None:
         table.add_row(
             PREFIX + name.upper(), "" if default is None else str(default), field.description
         )
-    Console().print(table)
+    _console().print(table)
+
+
+def _console() -> Console:
+    """Without markup: a [m] is a unit."""
+    return Console(markup=False, highlight=False)
 
 
 def _read(path: Path, field: str) -> bytes:

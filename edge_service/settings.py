@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from edge_service.errors import SettingsError
@@ -119,7 +120,7 @@ class EdgeSettings(BaseSettings):
     def _endpoints(cls, value: str) -> str:
         for endpoint in _split(value):
             if not re.fullmatch(r"[a-z_-]+/\S+", endpoint):
-                raise ValueError(f"{endpoint!r} is no endpoint such as tcp/0.0.0.0:7447")
+                raise ValueError("must be endpoints such as tcp/0.0.0.0:7447")
         return value
 
     @field_validator("http")
@@ -127,13 +128,13 @@ class EdgeSettings(BaseSettings):
     def _host_and_port(cls, value: str) -> str:
         host, _, port = value.rpartition(":")
         if not host or not port.isascii() or not port.isdigit() or int(port) > 65535:
-            raise ValueError(f"{value!r} is no HOST:PORT such as 0.0.0.0:8080")
+            raise ValueError("must be HOST:PORT such as 0.0.0.0:8080")
         return value
 
     @model_validator(mode="after")
     def _one_way(self) -> EdgeSettings:
         if not self.zenoh_connect and not _split(self.zenoh_listen):
-            raise ValueError("zenoh_listen is empty and there is no zenoh_connect: no way in")
+            raise ValueError("neither EDGE_ZENOH_LISTEN nor EDGE_ZENOH_CONNECT: no way in")
         return self
 
     @property
@@ -164,7 +165,7 @@ def load_settings(**flags: Any) -> EdgeSettings:
     try:
         return EdgeSettings(**given)
     except ValidationError as error:
-        raise SettingsError("; ".join(_sentence(e) for e in error.errors())) from None
+        raise SettingsError("; ".join(_sentence(e, given) for e in error.errors())) from None
 
 
 def _refuse_unknown(environ: Mapping[str, str]) -> None:
@@ -178,11 +179,13 @@ def _refuse_unknown(environ: Mapping[str, str]) -> None:
         raise SettingsError(f"{variable} is no setting; {hint}")
 
 
-def _sentence(error: Any) -> str:
-    where = PREFIX + str(error["loc"][0]).upper() if error["loc"] else "settings"
-    message = str(error["msg"]).removeprefix("Value error, ")
-    value = f" (got {error['input']!r})" if error["loc"] else ""
-    return f"{where}: {message[:200]}{value[:200]}"
+def _sentence(error: ErrorDetails, flags: Mapping[str, Any]) -> str:
+    message = error["msg"].removeprefix("Value error, ")
+    if not error["loc"]:
+        return message
+    name = str(error["loc"][0])
+    where = f"--{name.removeprefix('zenoh_')}" if name in flags else PREFIX + name.upper()
+    return f"{where}: {message[:200]}, not {error['input']!r:.100}"
 
 
 def _split(endpoints: str) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import zenoh
 
 from edge_service.errors import AddressError
 from edge_service.transport import OnFrame
-from rgbd_wire.envelope import MAX_BODY_BYTES, PREFIX_BYTES, Kind
+from rgbd_wire.envelope import MAX_BODY_BYTES, Kind
 from rgbd_wire.streams import FRAME, RESULT, Urgency, worker_key
 
 _PRIORITY = {
@@ -38,9 +38,10 @@ class ZenohAddress:
             AddressError: an endpoint is malformed.
         """
         config = zenoh.Config()
-        # A router takes part in routing; a peer of an outside router keeps trying to reach it,
-        # where a client would give up at once (and fails over in seconds instead of at once).
-        config.insert_json5("mode", json.dumps("router" if self.listen else "peer"))
+        # Also where it joins a router: routers do not route between peers, so a worker that was
+        # one would not be seen by drones that are peers themselves, and a client gives up at once
+        # when the router is not there yet.
+        config.insert_json5("mode", json.dumps("router"))
         for key, endpoints in (("listen", self.listen), ("connect", self.connect)):
             try:
                 config.insert_json5(f"{key}/endpoints", json.dumps(endpoints))
@@ -56,8 +57,12 @@ class ZenohAddress:
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000},
             "transport/link/tx/lease": self.lease_ms,
             "transport/link/tx/keep_alive": 4,
-            # A peer that announces more than any message may have is cut off before it is read
-            "transport/link/rx/max_message_size": MAX_BODY_BYTES[Kind.FRAME] + PREFIX_BYTES + 1024,
+            # Express messages take a batch each: with the default of 2, acks and results in quick
+            # succession were dropped on a busy worker (22 of 1000; with 8 or more: none)
+            "transport/link/tx/queue/size/real_time": 16,
+            # More than a frame may have, so that a peer's oversized ones come in and are counted;
+            # past this they are dropped on the link
+            "transport/link/rx/max_message_size": 4 * MAX_BODY_BYTES[Kind.FRAME],
         }.items():
             config.insert_json5(key, json.dumps(value))
         return config
@@ -96,7 +101,7 @@ class ZenohTransport:
         session = self._session
         if session is None or session.is_closed():
             return False
-        return bool(self._address.listen or session.info.routers_zid() or session.info.peers_zid())
+        return bool(self._address.listen or session.info.routers_zid())
 
     def start(self, on_frame: OnFrame) -> None:
         """Open the session and subscribe to this worker's frames.
@@ -151,6 +156,6 @@ class ZenohTransport:
 
 def _plain(error: zenoh.ZError) -> str:
     """Zenoh's message without the places in its own source."""
-    text = re.sub(r"\s+at /\S+?\.rs:\d+\.?", "", str(error))
+    text = re.sub(r"\s+at /\S+?\.rs:\d+\.?|\s+\(os error \d+\)", "", str(error))
     inner = re.search(r"\[[^\[\]]*?: ([^\[\]]*?)\]", text) or re.search(r'msg: "(.*?)"', text)
     return (inner.group(1) if inner else text).strip().rstrip(".")

@@ -80,6 +80,12 @@ def test_what_kubernetes_tells_of_services_is_no_mistake(monkeypatch, name, valu
     load_settings()
 
 
+def test_a_wrong_flag_is_named_as_the_flag():
+    """Who typed --listen is not told of a variable."""
+    with pytest.raises(SettingsError, match=r"^--listen: must be endpoints .*, not 'junk'$"):
+        load_settings(zenoh_listen="junk")
+
+
 def test_settings_are_frozen_and_closed():
     """Nobody changes a setting later, or adds one."""
     settings = EdgeSettings(name="w1")
