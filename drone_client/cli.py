@@ -100,7 +100,7 @@ def replay(
     )
     source = open_recording(folder, camera)
     body = Airframe() if airframe is None else load_airframe(airframe)
-    entries = () if truth is None else load_truth(truth)
+    entries = () if truth is None else load_truth(truth, len(source))
     options = ReplayOptions(out, as_fast_as_possible, entries, plot)
     clock = MonotonicClock()
     title = escape(folder.resolve().name)

@@ -28,8 +28,8 @@ class TruthEntry:
     """Share of the target inside the picture."""
 
 
-def load_truth(path: Path) -> tuple[TruthEntry, ...]:
-    """Read a truth file; entry i belongs to capture i.
+def load_truth(path: Path, captures: int) -> tuple[TruthEntry, ...]:
+    """Read the truth of a recording of so many captures; entry i belongs to capture i.
 
     Raises:
         SourceError: with the path and the entry at fault.
@@ -44,6 +44,10 @@ def load_truth(path: Path) -> tuple[TruthEntry, ...]:
         raise SourceError(f"truth file {path}: not JSON: {error}") from None
     if not isinstance(raw, list):
         raise SourceError(f"truth file {path}: must be a list of frames")
+    if len(raw) != captures:
+        raise SourceError(
+            f"truth file {path}: {len(raw)} frames, but the recording has {captures}: not its truth"
+        )
     entries = []
     for number, entry in enumerate(raw):
         try:

@@ -1,0 +1,84 @@
+"""The picture of a run: it is drawn from any ledger, and what matters can be seen in it."""
+
+import cv2
+import numpy as np
+from matplotlib.colors import to_rgb
+
+from drone_client.plot import plot_run
+
+MS = 1_000_000
+GOLD = (np.array(to_rgb("gold")) * 0.25 + 0.75) * 255  # shaded at a quarter over white
+
+
+def frame_line(i, fate="answered", **more):
+    """A ledger line, 50 ms after the one before."""
+    line = {"fate": fate, "t_capture_ns": i * 50 * MS}
+    if fate == "answered":
+        line |= {"verdict": "accepted", "network_delay_ms": 20.0, "age_ms": 60.0}
+    return line | more
+
+
+def tick_line(i, freshness="fresh", **more):
+    """A tick, 20 ms after the one before."""
+    return {
+        "t_ns": i * 20 * MS,
+        "h_m": 1.0 - i / 100,
+        "h_robust_m": 0.9 - i / 100,
+        "freshness": freshness,
+        "tip_target_m": [2 - i / 50, 0.1, 0.0],
+        "command_mps": [0.2, 0.0, 0.0],
+        "yaw_rate_radps": 0.01,
+    } | more
+
+
+def drawn(path, frames, ticks) -> np.ndarray:
+    """The picture as it can be read again."""
+    plot_run(path, frames, ticks, tau_max_ms=250, age_max_ms=300)
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
+    assert picture is not None
+    return picture
+
+
+def share(picture: np.ndarray, rgb, tolerance: float = 6) -> float:
+    """Share of the pixels that have a colour."""
+    return float((np.abs(picture - np.asarray(rgb, float)).max(axis=2) <= tolerance).mean())
+
+
+def test_a_run_gives_a_picture_with_its_curves_and_its_stale_stretches(tmp_path):
+    """Blue, orange and green curves on white, and gold behind the ticks that had to hold."""
+    phases = ["fresh"] * 20 + ["hold"] * 20 + ["retreat"] * 10
+    picture = drawn(
+        tmp_path / "run.png",
+        [frame_line(i) for i in range(20)],
+        [tick_line(i, phase) for i, phase in enumerate(phases)],
+    )
+    assert min(picture.shape[:2]) > 800
+    assert 0.5 < share(picture, (255, 255, 255)) < 0.99
+    for name in ("tab:blue", "tab:orange", "tab:green"):
+        assert share(picture, np.array(to_rgb(name)) * 255) > 1e-4
+    assert share(picture, GOLD) > 0.01
+
+
+def test_lines_without_numbers_are_drawn_around(tmp_path):
+    """Refused times, ticks without a target, frames that nobody answered; nothing is shaded."""
+    frames = [
+        frame_line(0, verdict="impossible_time", network_delay_ms=None),
+        frame_line(1, verdict="never_sent", network_delay_ms=None, age_ms=None),
+        *(frame_line(2 + i, fate) for i, fate in enumerate(("no_reply", "no_worker"))),
+        frame_line(4, "superseded_on_board"),
+        frame_line(5, "interrupted"),
+        frame_line(6, verdict="too_old", age_ms=900.0),
+    ]
+    ticks = [
+        {"t_ns": 0, "command_mps": [0, 0, 0], "yaw_rate_radps": 0},
+        tick_line(1, h_m=None, h_robust_m=None),
+    ]
+    picture = drawn(tmp_path / "run.png", frames, ticks)
+    for name in ("tab:purple", "tab:red", "tab:brown"):
+        assert share(picture, np.array(to_rgb(name)) * 255) > 1e-5
+    assert share(picture, GOLD) < 1e-3
+
+
+def test_an_empty_run_has_a_picture_too(tmp_path):
+    """Interrupted before the first frame."""
+    assert drawn(tmp_path / "run.png", [], []).size
