@@ -66,7 +66,7 @@ def plot_run(
     for fate, color in _FATE_COLORS.items():
         times = [seconds(f["t_capture_ns"]) for f in frames if f["fate"] == fate]
         if times:
-            delays.plot(times, [0.0] * len(times), "|", color=color, ms=12, label=fate)
+            delays.plot(times, [0.0] * len(times), "|", color=color, ms=12, mew=2, label=fate)
     delays.set_ylabel("ms")
     delays.set_ylim(bottom=-0.05 * age_max_ms)
     delays.legend(fontsize=7, ncols=4, loc="upper right")
