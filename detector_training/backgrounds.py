@@ -92,32 +92,50 @@ _NO_COLOUR = (
     r"(_n|_nm|_s|_z|_d|_add|normal|norm\d?|gloss|mask|local|height|spec|[a-z0-9]\d+[nsz])\."
 )
 
+_LOMIRI_20 = r"/(Fossa|Infinite-Sea|Kleiber|Painting-Colors)_by_[^/]+\.jpg$"
+
 DEBIAN_SOURCES = (
     Source(
         "gnome-backgrounds",
-        "CC-BY-SA-3.0, CC-BY-2.0, CC0",
+        "CC-BY-SA-3.0, CC-BY-SA-2.0, CC-BY-2.0, GPL-2+",
         Kind.PHOTO,
         ("usr/share/backgrounds/gnome",),
     ),
     Source(
         "mate-backgrounds",
-        "GPL-2+, CC-BY-SA-3.0, CC-BY-SA-4.0",
+        "GPL-2+, CC-BY-SA-4.0",
         Kind.PHOTO,
         ("usr/share/backgrounds/mate",),
     ),
     Source(
         "plasma-workspace-wallpapers",
-        "LGPL-3, CC-BY-SA-4.0",
+        "GPL-2+",
         Kind.PHOTO,
         ("usr/share/wallpapers",),
         never=r"/screenshot\.",
     ),
     Source(
         "ukui-wallpapers",
-        "CC-BY-SA-3.0, CC-BY-SA-4.0",
+        "CC-BY-SA-3.0",
         Kind.PHOTO,
         ("usr/share/backgrounds",),
-        never=r"/(gnome|mate|sway)/",
+        only=r"backgrounds/(2004default|calla|city|desert|firstgeneration|fluent-color|goldfish"
+        r"|focal-ubuntukylin|rhythm|rollpaper|string|the-mouse)\.(jpg|png)$",
+    ),
+    Source(
+        "lomiri-wallpapers-16.04",
+        "CC-BY-4.0, CC-BY-SA-3.0, CC-BY-SA-4.0, CC0",
+        Kind.PHOTO,
+        ("usr/share/backgrounds",),
+        only=r"backgrounds/[^/]+_by_[^/]+\.jpg$",
+        never=_LOMIRI_20,
+    ),
+    Source(
+        "lomiri-wallpapers-20.04",
+        "CC-BY-4.0, CC-BY-SA-3.0, CC-BY-SA-4.0, CC0",
+        Kind.PHOTO,
+        ("usr/share/backgrounds",),
+        only=_LOMIRI_20,
     ),
     Source(
         "opencv-doc",
@@ -137,7 +155,7 @@ DEBIAN_SOURCES = (
     ),
     Source(
         "redeclipse-data",
-        "CC-BY-3.0, CC-BY-SA-3.0, CC-BY-SA-4.0",
+        "CC-BY-3.0, CC-BY-SA-3.0, CC0",
         Kind.TEXTURE,
         tuple(
             f"usr/share/games/redeclipse/data/{author}"
@@ -192,6 +210,16 @@ def find_backgrounds(
         found.extend(mine)
     unique = {b.path: b for b in found}
     return tuple(unique[p] for p in sorted(unique))
+
+
+def licence_of(source: str) -> str:
+    """Licence of the pictures of a package, or who has to say it."""
+    known = {s.package: s.licence for s in DEBIAN_SOURCES}
+    known |= {
+        "scikit-image": "BSD-3-Clause and public domain, see skimage/data/README.txt",
+        "scikit-learn": "CC-BY-2.0, see sklearn/datasets/images/README.txt",
+    }
+    return known.get(source, "the user's own")
 
 
 def advice(found: Sequence[Background]) -> str | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -126,11 +125,10 @@ def command_line() -> str:
 
 def main() -> None:
     """Run a sub-command; what the user got wrong is one line and exit status 2."""
-    if find_spec("detector_training.train_cli"):
-        # here, not above: the processes that render import this module and need no torch
-        from detector_training.train_cli import register
+    # here, not above: the processes that render import this module and need no torch
+    from detector_training.train_cli import register
 
-        register(app)
+    register(app)
     try:
         app()
     except (TrainingError, TargetError) as error:

@@ -13,7 +13,7 @@ from typing import Any
 
 import cv2
 
-from detector_training.backgrounds import Background, Split
+from detector_training.backgrounds import Background, Split, licence_of
 from detector_training.errors import DatasetError, SceneError
 from detector_training.scenes.backdrop import Library
 from detector_training.scenes.contact_sheet import contact_sheet
@@ -150,5 +150,6 @@ def _describe(
         "count": request.count,
         "kinds": dict(sorted(kinds.items())),
         "conditions": dict(sorted(conditions.items())),
+        "licences": {k: licence_of(k) for k in sorted(by_source)},
         "backgrounds": {k: sorted(v) for k, v in sorted(by_source.items())},
     }

@@ -116,7 +116,7 @@ def generate(seed: tuple[int, ...], library: Library, target: Target) -> Scene:
     if rng.random() < 0.08:
         light.flare(rng, image)
         conditions.append("flare")
-    rgb = _photograph(rng, image, conditions)
+    rgb = _photograph(rng, image, _disc_px(target, camera, pose), conditions)
     boxes = () if pose is None else label_boxes(target, camera, pose, hidden)
     if boxes and pose is not None:
         _note_view(conditions, boxes, pose)
@@ -291,11 +291,20 @@ def _occlude(
     return hidden
 
 
+def _disc_px(target: Target, camera: CameraIntrinsics, pose: Pose | None) -> float:
+    """Apparent diameter of the outer disc; of one in the middle distance where there is none."""
+    if pose is None:
+        return 60.0
+    return camera.fx * target.discs[0].diameter_m / float(np.linalg.norm(pose.translation))
+
+
 def _photograph(
-    rng: np.random.Generator, image: LinearImage, conditions: list[str]
+    rng: np.random.Generator, image: LinearImage, readable_px: float, conditions: list[str]
 ) -> NDArray[np.uint8]:
     exposed = sensor.random_exposure(rng, sensor.vignette(rng, image), conditions)
-    return sensor.develop(rng, sensor.random_optics(rng, exposed, conditions), conditions)
+    return sensor.develop(
+        rng, sensor.random_optics(rng, exposed, readable_px, conditions), conditions
+    )
 
 
 def _note_view(conditions: list[str], boxes: tuple[LabelledBox, ...], pose: Pose) -> None:

@@ -63,7 +63,7 @@ def wear(rng: np.random.Generator, albedo: NDArray[np.float32], strength: float)
         return
     dirt = np.clip(cloud_noise(rng, n, n, int(rng.integers(2, 7))) - 0.3, 0, 1.5) * strength
     colour = rng.uniform(0.02, 0.25, 3).astype(np.float32)
-    albedo += np.clip(dirt * 0.6, 0, 0.8)[..., None] * (colour - albedo)
+    albedo += np.clip(dirt * 0.6, 0, 0.55)[..., None] * (colour - albedo)
     lines = np.zeros((n, n), dtype=np.uint8)
     for _ in range(int(rng.poisson(8 * strength))):
         a = rng.uniform(0, n, 2)

@@ -36,15 +36,21 @@ def blurred(image: LinearImage, kernel: NDArray[np.float32]) -> LinearImage:
 
 
 def random_optics(
-    rng: np.random.Generator, image: LinearImage, conditions: list[str]
+    rng: np.random.Generator, image: LinearImage, readable_px: float, conditions: list[str]
 ) -> LinearImage:
-    """Lens softness always; defocus and motion blur at times; named in ``conditions``."""
+    """Lens softness always; defocus and motion blur at times; named in ``conditions``.
+
+    ``readable_px`` is the size of what must stay readable: a target smeared beyond recognition
+    would teach the net to see targets everywhere.
+    """
     if rng.random() < 0.35:
-        length = float(np.exp(rng.uniform(np.log(2), np.log(16))))
+        longest = float(np.clip(0.35 * readable_px, 2.5, 16))
+        length = float(np.exp(rng.uniform(np.log(2), np.log(longest))))
         image = blurred(image, motion_kernel(length, rng.uniform(0, np.pi), rng.normal(0, 0.3)))
         conditions.append("motion_blur")
     if rng.random() < 0.2:
-        image = blurred(image, disc_kernel(rng.uniform(1.0, 4.5)))
+        widest = float(np.clip(0.1 * readable_px, 1.2, 4.5))
+        image = blurred(image, disc_kernel(rng.uniform(1.0, widest)))
         conditions.append("defocus")
     soft = rng.uniform(0.3, 0.9)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), soft))
@@ -58,7 +64,7 @@ def random_exposure(
     stops = rng.normal(0.0, 0.7)
     kind = rng.random()
     if kind < 0.12:
-        stops = rng.uniform(-4.5, -1.8)
+        stops = rng.uniform(-3.8, -1.8)
         conditions.append("low_light")
     elif kind < 0.2:
         stops = rng.uniform(1.3, 2.8)

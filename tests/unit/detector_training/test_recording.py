@@ -216,16 +216,18 @@ def test_stereo_noise_is_constant_in_disparity():
         assert np.median(seen) == pytest.approx(1.002 * z, rel=0.004)
         sigma = z * z / (camera.depth_lattice_m / 32) * 0.2
         assert seen.std() == pytest.approx(sigma, rel=0.1)
+        steps = np.rint(camera.depth_lattice_m / np.arange(1, 2000) / camera.depth_scale_m)
+        assert np.isin(units[units > 0], steps).all()
         away_from_border = units[:, 80:]
         assert (away_from_border == 0).mean() == pytest.approx(0.1, abs=0.06)
 
 
 def test_the_flight_is_smooth():
-    """From one millisecond to the next neither place nor direction jumps."""
+    """From one tick of 4 ms to the next neither place nor direction jumps."""
     sway = random_sway(np.random.default_rng(1))
     spot = np.array([-0.012, 0.0, 1.45])
-    poses = [world_from_camera(t / 1000, spot, sway) for t in range(3700)]
+    poses = [world_from_camera(t / 1000, spot, sway) for t in range(0, 3700, 4)]
     places = np.array([p.translation for p in poses])
     ahead = np.array([p.rotation[:, 2] for p in poses])
-    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 1.3e-3
-    assert np.linalg.norm(np.diff(ahead, axis=0), axis=1).max() < 1.6e-3
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 5e-3
+    assert np.linalg.norm(np.diff(ahead, axis=0), axis=1).max() < 6e-3
