@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from target_pose.candidate import Box, Candidate, Detections
-from target_pose.target import Level, Shade, Target
+from target_pose.rings import is_board, shades_fit
+from target_pose.target import Level, Target
 
 MAX_BOXES = 20
 """Boxes of one level that are looked at, best first: bounds the time in any picture."""
@@ -36,26 +36,14 @@ CUT_SLACK = 2.5
 SINGLE_LEVEL_SCORE = 0.6
 """A level that stands alone must be this sure."""
 
-RAYS = 32
-MIN_RAYS_SHARE = 0.7
-"""Share of the rays that see an edge on which it must have the right sign."""
-MIN_RAYS_SEEN = 8
-"""An edge that fewer rays see is not judged; at least one must be."""
-MIN_RING_PX = 1.5
-"""A ring thinner than this is not to be seen."""
-THICK_RING_PX = 8.0
-"""Of a ring this thick all samples must agree."""
-MIN_CONTRAST_LEVELS, MIN_CONTRAST = 4.0, 0.12
-"""Least step between two shades: gray levels, and a share of the lighter one."""
-
-_SKEWS = (0.0, 0.4, -0.4, 0.7, -0.7, 0.88, -0.88)
-"""Correlations of the ellipse in a box: a box alone does not say which way a tilted disc leans."""
+MAX_CHECKS = 40
+"""Groups of boxes whose shades are looked at, best first: bounds the time in any picture."""
 
 
 def group(
     detections: Detections, target: Target, color_rgb: NDArray[np.uint8]
 ) -> tuple[Candidate, ...]:
-    """The targets among a picture's boxes, best first; each box serves one target at most.
+    """The targets among a picture's boxes, best first; none has its centre in a better one.
 
     A level may be missing (too small when far, out of the picture when near). A lone box is
     accepted for a disc's level if it is sure and the shades inside it are right.
@@ -74,15 +62,12 @@ def group(
     # More levels first: three boxes of a target outweigh any two of them
     proposals.sort(key=lambda c: c.score, reverse=True)
     gray = cv2.cvtColor(color_rgb, cv2.COLOR_RGB2GRAY) if proposals else None
-    taken: set[int] = set()
-    found = []
-    for candidate in proposals:
-        ids = {id(box) for box in candidate.boxes.values()}
-        if ids & taken:
+    found: list[Candidate] = []
+    for candidate in proposals[:MAX_CHECKS]:
+        if any(_same_place(candidate, other) for other in found):
             continue
         assert gray is not None
         if shades_fit(np.asarray(gray, np.uint8), candidate.boxes, target):
-            taken |= ids
             found.append(candidate)
     return tuple(found)
 
@@ -112,46 +97,6 @@ def nests(outer: Box, inner: Box, ratio: tuple[float, float], image_size: tuple[
     return True
 
 
-def shades_fit(gray: NDArray[np.uint8], boxes: dict[Level, Box], target: Target) -> bool:
-    """Whether the rings inside and around the discs' boxes have the target's shades.
-
-    Args:
-        gray: (H, W).
-        boxes: With at least one disc's.
-        target: Sizes and shades.
-    """
-    circles = _circles(boxes, target)
-    return any(_edges_fit(gray, circles, target, skew) for skew in _SKEWS)
-
-
-class _Circles(NamedTuple):
-    """Where a circle around the target's centre is seen, linear in its radius.
-
-    Two discs tell how perspective shifts and swells the circles; one alone stands for all.
-    """
-
-    center_px: NDArray[np.float64]  # (2, 2)
-    """Slope [px/m] and value at zero of the centre, for u and v."""
-    px_per_m: NDArray[np.float64]  # (2, 2)
-    """Slope and value at zero of the half side per metre of radius, for u and v."""
-
-    def at(self, radius_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Centre (2,) [px] and scale (2,) [px/m] of the circle with this radius."""
-        r = np.array([radius_m, 1.0])
-        return r @ self.center_px, r @ self.px_per_m
-
-
-def _circles(boxes: dict[Level, Box], target: Target) -> _Circles:
-    discs = [(target.level_m[k] / 2, b) for k, b in boxes.items() if not _is_square(k, target)]
-    radius = np.array([r for r, _ in discs])
-    center = np.array([b.center_px for _, b in discs])
-    scale = np.array([b.size_px for _, b in discs]) / 2 / radius[:, None]
-    if len(discs) == 1:
-        still = np.zeros((1, 2))
-        return _Circles(np.concatenate((still, center)), np.concatenate((still, scale)))
-    return _Circles(np.polyfit(radius, center, 1), np.polyfit(radius, scale, 1))
-
-
 def _combinations(
     boxes: dict[Level, tuple[Box, ...]], target: Target, size: tuple[int, int]
 ) -> list[dict[Level, Box]]:
@@ -159,7 +104,7 @@ def _combinations(
     fits: dict[tuple[Level, Level], set[tuple[int, int]]] = {}
     for outer, inner in itertools.combinations(Level, 2):
         least = target.level_m[outer] / target.level_m[inner]
-        most = least * math.sqrt(2) if _is_square(outer, target) else least
+        most = least * math.sqrt(2) if is_board(outer, target) else least
         fits[outer, inner] = {
             (i, j)
             for (i, a), (j, b) in itertools.product(
@@ -180,74 +125,16 @@ def _combinations(
     return [c for c in named if len(c) > 1 or _stands_alone(c, target)]
 
 
+def _same_place(candidate: Candidate, better: Candidate) -> bool:
+    """Whether a candidate's centre lies in the outermost box of a better one."""
+    u, v = next(iter(candidate.boxes.values())).center_px
+    outermost = next(iter(better.boxes.values()))
+    return outermost.x0 <= u <= outermost.x1 and outermost.y0 <= v <= outermost.y1
+
+
 def _stands_alone(chosen: dict[Level, Box], target: Target) -> bool:
     """Whether the only box, if any, is a disc's and sure enough."""
     return any(
-        box.score >= SINGLE_LEVEL_SCORE and not _is_square(level, target)
+        box.score >= SINGLE_LEVEL_SCORE and not is_board(level, target)
         for level, box in chosen.items()
     )
-
-
-def _is_square(level: Level, target: Target) -> bool:
-    """Whether a level's box circumscribes the board, whose box grows when it rolls."""
-    return math.isclose(target.level_m[level], target.board_side_m)
-
-
-def _edges_fit(gray: NDArray[np.uint8], circles: _Circles, target: Target, skew: float) -> bool:
-    """Whether every printed edge that can be seen has the right sign on most rays.
-
-    A circle is taken as the ellipse with this skew in its box.
-    """
-    angle = np.linspace(0, 2 * np.pi, RAYS, endpoint=False)
-    unit = np.stack((np.cos(angle), skew * np.cos(angle) + math.sqrt(1 - skew**2) * np.sin(angle)))
-    radii = [target.board_side_m / 2, *(d.diameter_m / 2 for d in target.discs), 0.0]
-    shades = [target.board_shade, *(d.shade for d in target.discs)]
-    px_per_m = np.hypot(*(unit * circles.at(radii[1])[1][:, None]))
-    rings = [
-        _ring_gray(gray, circles, unit, outer, inner, shade)
-        for (outer, inner), shade in zip(itertools.pairwise(radii), shades, strict=True)
-    ]
-    edges = 0
-    for k in range(len(shades) - 1):
-        thin = min(radii[k] - radii[k + 1], radii[k + 1] - radii[k + 2])
-        step = rings[k] - rings[k + 1]
-        if shades[k] is Shade.BLACK:
-            step = -step
-        seen = np.isfinite(step) & (thin * px_per_m >= MIN_RING_PX)
-        if seen.sum() < MIN_RAYS_SEEN:
-            continue
-        lighter = np.maximum(rings[k], rings[k + 1])[seen]
-        enough = np.maximum(MIN_CONTRAST_LEVELS, MIN_CONTRAST * lighter)
-        if (step[seen] > enough).mean() < MIN_RAYS_SHARE:
-            return False
-        edges += 1
-    return edges > 0
-
-
-def _ring_gray(
-    gray: NDArray[np.uint8],
-    circles: _Circles,
-    unit: NDArray[np.float64],
-    outer_m: float,
-    inner_m: float,
-    shade: Shade,
-) -> NDArray[np.float64]:
-    """Gray (RAYS,) of a ring along each ray ``unit`` (2, RAYS); NaN where it leaves the picture.
-
-    The mean of a thin ring, whose edges are blurred into it; of a thick one the sample that speaks
-    most against its shade, so that a ring of another width does not pass.
-    """
-    share = (0.3, 0.5, 0.7) if inner_m > 0 else (0.0, 0.3, 0.6)
-    points, length = [], np.zeros(unit.shape[1])
-    for s in share:
-        radius = inner_m + s * (outer_m - inner_m)
-        center, scale = circles.at(radius)
-        points.append(center[:, None] + radius * unit * scale[:, None])
-        length = (outer_m - inner_m) * np.hypot(*(unit * scale[:, None]))
-    u, v = np.stack(points, axis=1).astype(np.float32)  # (3, RAYS) each
-    height, width = gray.shape
-    inside = ((u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)).all(axis=0)
-    value = cv2.remap(gray, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    against = value.max(axis=0) if shade is Shade.BLACK else value.min(axis=0)
-    gray_of_ring = np.where(length >= THICK_RING_PX, against, value.mean(axis=0))
-    return np.where(inside, gray_of_ring, np.nan)

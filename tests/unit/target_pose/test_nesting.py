@@ -198,14 +198,24 @@ def test_a_shadow_across_the_target_is_no_edge_of_it():
     assert len(group(_detections(boxes), TARGET, (picture * shade).astype(np.uint8))) == 1
 
 
-def test_two_targets_come_best_first_and_share_no_box():
-    """Every box serves once; the surer target leads."""
+def test_two_targets_come_best_first():
+    """Both are found, the surer one leads."""
     left, right = _head_on(0.5, (80, 120)), _head_on(0.5, (240, 120))
     picture = np.where(np.arange(320)[None, :, None] < 160, left[1], right[1])
     sure = {k: Box(b.x0, b.y0, b.x1, b.y1, 0.95) for k, b in right[0].items()}
     found = group(_detections(left[0], sure), TARGET, picture)
     assert [c.boxes for c in found] == [sure, left[0]]
     assert found[0].score == pytest.approx(0.95)
+
+
+def test_a_second_box_on_the_same_target_is_no_second_target():
+    """A lone sure box that suppression left beside the right one adds nothing."""
+    boxes, picture = _head_on()
+    double = Box(*(x + 12 for x in (114.0, 74.0, 204.0, 164.0)), 0.9)
+    made = _detections(boxes).boxes
+    crowd = Detections({**made, Level.BETTER: (double, *made[Level.BETTER])})
+    (found,) = group(crowd, TARGET, picture)
+    assert found.boxes == boxes
 
 
 def test_a_whole_target_outranks_its_parts():
