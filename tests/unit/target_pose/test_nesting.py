@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from tests.unit.target_pose.render import Look, facing_pose, render_color, true_box
 
 from rgbd_wire.camera import CameraIntrinsics
 from target_pose.candidate import Box, Detections
 from target_pose.nesting import MAX_BOXES, group, nests
 from target_pose.target import Disc, Level, Shade, Target, load_target
+from tests.unit.target_pose.render import Look, facing_pose, render_color, true_box
 
 TARGET = load_target()
 CAMERA = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
