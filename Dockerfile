@@ -3,7 +3,7 @@
 
 ARG BASE_IMAGE=python:3.11-slim-bookworm
 
-FROM ${BASE_IMAGE} AS builder
+FROM ${BASE_IMAGE} AS packages
 # No pip inside the environment: the builder's own fills it, and nothing can be added at run time.
 ENV PIP_PYTHON=/opt/aerial-contact/venv/bin/python \
     PIP_DISABLE_PIP_VERSION_CHECK=1 \
@@ -17,17 +17,19 @@ ARG TORCH_INDEX_URL=
 ARG TORCH_VERSION=2.13.0
 RUN PIP_INDEX_URL="${TORCH_INDEX_URL}" pip install "torch==${TORCH_VERSION}"
 
-# The other packages before the code: a change of code does not fetch them again.
+# All that the project needs, and not the project: this layer holds nearly all of the image and
+# stays the same when only code changes.
 WORKDIR /build
 COPY pyproject.toml README.md LICENSE ./
 # hadolint ignore=DL3013 # the project itself; pyproject.toml bounds the versions
-RUN pip install ".[drone,edge]"
+RUN pip install ".[drone,edge]" && pip uninstall --yes aerial-contact
 
+FROM packages AS project
 COPY rgbd_wire rgbd_wire
 COPY target_pose target_pose
 COPY edge_service edge_service
 COPY drone_client drone_client
-RUN pip install --no-deps --force-reinstall .
+RUN pip install --no-deps --target /opt/aerial-contact/project .
 
 FROM ${BASE_IMAGE}
 # /runs belongs to the user, and so does a new volume that is mounted there.
@@ -36,12 +38,14 @@ RUN groupadd --gid 10001 aerial \
     --shell /usr/sbin/nologin aerial \
     && install --directory --owner=10001 --group=10001 /runs
 
-COPY --from=builder /opt/aerial-contact/venv /opt/aerial-contact/venv
+COPY --from=packages /opt/aerial-contact/venv /opt/aerial-contact/venv
+COPY --from=project /opt/aerial-contact/project /opt/aerial-contact/project
 COPY LICENSE /opt/aerial-contact/
 COPY examples /opt/aerial-contact/examples
 
 # Nothing is written but below /tmp and /runs: the root file system may be read-only, the uid any.
-ENV PATH=/opt/aerial-contact/venv/bin:${PATH} \
+ENV PATH=/opt/aerial-contact/project/bin:/opt/aerial-contact/venv/bin:${PATH} \
+    PYTHONPATH=/opt/aerial-contact/project \
     HOME=/tmp \
     MPLCONFIGDIR=/tmp/matplotlib \
     PYTHONDONTWRITEBYTECODE=1 \
