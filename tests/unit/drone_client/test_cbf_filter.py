@@ -74,6 +74,19 @@ def test_at_the_edge_the_wish_is_changed_as_little_as_needed() -> None:
     assert slope == pytest.approx(-1.2 * command.h_robust)
 
 
+def test_a_step_across_the_axis_counts_as_active() -> None:
+    """What the half-space lets pass and the next-step check shortens is said to be changed."""
+    inp = change(
+        tip_target=(0.0, 0.0, 0.0),
+        velocity_tip_nominal_target=(0.0, 0.4, 0.0),
+        range_m=0.43,
+        sigma_m=0.0,
+    )
+    command = filter_command(inp, SETTINGS)
+    assert command.status is Status.ACTIVE
+    assert command.velocity_body_target == (0.0, 0.4 / 16, 0.0)
+
+
 def test_far_outside_the_way_back_is_the_steepest() -> None:
     """Where even full speed is not enough, full speed along the gradient."""
     inp = change(tip_target=(0.5, 1.0, 0.0), range_m=1.0)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drone_client.cbf import CuspFunnel, Funnel, paper_funnel
@@ -27,6 +27,7 @@ def differences(h, p, step: float) -> np.ndarray:
     return np.array(out)
 
 
+@settings(max_examples=500)
 @given(funnels, points | near_axis, deltas)
 def test_the_gradient_is_that_of_h(funnel, p, delta) -> None:
     """Central differences agree, off the axis and on it, with an error ball and without."""
@@ -89,6 +90,7 @@ def test_the_mouth_is_where_contact_is_allowed(rho, angle) -> None:
     assert (h >= 0) == (rho <= funnel.r_c_m) or abs(rho - funnel.r_c_m) < 1e-9
 
 
+@settings(max_examples=500)
 @given(funnels, points | near_axis, deltas, points, st.floats(0, 1))
 def test_the_robust_form_bounds_h_over_the_whole_ball(funnel, p, delta, direction, depth) -> None:
     """Wherever in the ball the true tip is, its h is at least the robust one at the estimate."""
@@ -97,6 +99,7 @@ def test_the_robust_form_bounds_h_over_the_whole_ball(funnel, p, delta, directio
     assert funnel.h(true_tip) >= funnel.h(p, delta) - 1e-12
 
 
+@settings(max_examples=500)
 @given(funnels, points | near_axis, deltas)
 def test_the_robust_form_bounds_h_at_the_worst_point(funnel, p, delta) -> None:
     """Also at the points of the ball straight away from the axis and towards the board."""

@@ -80,9 +80,10 @@ def test_a_held_command_does_break_the_condition_without_the_check() -> None:
     assert hold.h_next(corrected) >= hold.h_required(V_MAX) - 1e-9
 
 
-def test_a_good_command_is_left_alone() -> None:
+@given(st.floats(-0.2, 3), st.floats(0, 0.03), st.floats(0.5, 2.5))
+def test_a_good_command_is_left_alone(x, delta, alpha) -> None:
     """Moving along x is exact, so the check changes nothing there, even on the very edge."""
-    hold = Hold(FUNNEL, (0.3, 0.0, 0.0), 0.01, 0.01, 1.2, PERIOD_S)
+    hold = Hold(FUNNEL, (x, 0.0, 0.0), delta, delta, alpha, PERIOD_S)
     u = filtered((-1.0, 0.0, 0.0), hold)
     assert checked(u, hold, V_MAX) == (u, 0)
 

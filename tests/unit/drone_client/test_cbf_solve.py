@@ -7,7 +7,7 @@ import math
 import cvxpy as cp
 import daqp
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import nnls
@@ -106,6 +106,7 @@ def test_far_from_the_speed_limit_daqp_agrees() -> None:
         np.testing.assert_allclose(ours.u, u, rtol=0, atol=1e-9)
 
 
+@settings(max_examples=500)
 @given(velocities, normals, st.floats(-3, 3), st.floats(0.01, 2))
 def test_the_solution_meets_its_optimality_conditions(u_nominal, normal, offset, v_max) -> None:
     """It is feasible, and stationary with non-negative multipliers on what is active (KKT)."""
@@ -146,6 +147,7 @@ def test_no_safe_velocity_is_nearer(u_nominal, normal, offset, v_max, s) -> None
     assert not safe or np.linalg.norm(there - np.array(u)) < 1e-6
 
 
+@settings(max_examples=500)
 @given(
     st.tuples(anything, anything, anything),
     st.tuples(anything, anything, anything),
