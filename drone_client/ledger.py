@@ -30,6 +30,8 @@ class Fate(StrEnum):
     """A result came; its verdict says whether it could be used."""
     SUPERSEDED_ON_BOARD = "superseded_on_board"
     """A newer frame came before this one could be sent."""
+    SEND_FAILED = "send_failed"
+    """It could not be encoded or handed to the link; the log has the details."""
     NO_WORKER = "no_worker"
     NO_REPLY = "no_reply"
     INTERRUPTED = "interrupted"

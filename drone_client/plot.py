@@ -11,6 +11,7 @@ from drone_client.gate import Verdict
 PLOT_NAME = "run.png"
 _FATE_COLORS = {
     "superseded_on_board": "tab:gray",
+    "send_failed": "tab:olive",
     "no_worker": "tab:purple",
     "no_reply": "tab:red",
     "interrupted": "tab:brown",

@@ -6,6 +6,7 @@ than one encoding.
 
 from __future__ import annotations
 
+import logging
 import threading
 from dataclasses import dataclass
 from typing import Protocol
@@ -19,6 +20,8 @@ from drone_client.worker_choice import choose_worker
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.frame_codec import FrameStamp, compress, pack
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +60,7 @@ class Uplink:
     def __init__(
         self, settings: UplinkSettings, link: Link, clock: Clock, log: SendLog, ledger: Ledger
     ) -> None:
+        self.send_failures = 0
         self._settings = settings
         self._link = link
         self._clock = clock
@@ -109,7 +113,18 @@ class Uplink:
             if self._wait_for_room(timeout_s=0.05):
                 captured = self._slot.take(timeout_s=0.05)
                 if captured is not None:
-                    self._send(captured)
+                    self._try_to_send(captured)
+
+    def _try_to_send(self, captured: _Captured) -> None:
+        try:
+            self._send(captured)
+        except Exception:
+            # A frame that cannot be sent is no reason to send no more: a thread that ended here
+            # would leave the drone blind, and the run waiting for this frame's fate for ever.
+            if not self.send_failures:
+                logger.exception("frame %d could not be sent", captured.sequence)
+            self.send_failures += 1
+            self._ledger.close_frame(captured.sequence, Fate.SEND_FAILED, {})
 
     def _wait_for_room(self, timeout_s: float) -> bool:
         with self._room:

@@ -32,6 +32,7 @@ class Rig:
         self.clock = ManualClock(1_000 * MS)
         self.sent: queue.Queue[tuple[str, bytes]] = queue.Queue()
         self.told: list[SentFrame] = []
+        self.broken = False
         link = MemoryLink(self.clock, self._on_frame)
         link.workers = lambda: self.workers  # type: ignore[method-assign] # they come and go
         self.ledger = Ledger(folder)
@@ -44,6 +45,8 @@ class Rig:
         self.told.append(sent)
 
     def _on_frame(self, worker: str, message: bytes) -> tuple[bytes, ...]:
+        if self.broken:
+            raise OSError("no buffer space")
         sequence = unpack(message).header.sequence
         assert self.told[-1].sequence == sequence  # known before it is on its way
         self.sent.put((worker, message))
@@ -241,3 +244,19 @@ def test_an_uplink_that_was_never_started_can_be_stopped(tmp_path):
     rig = Rig(tmp_path)
     rig.uplink.stop()
     rig.ledger.close()
+
+
+def test_a_frame_that_cannot_be_sent_is_told_and_the_next_one_goes(tmp_path, caplog):
+    """A link that raises costs its frames, and one entry in the log; not the thread."""
+    rig = Rig(tmp_path, window=4)
+    rig.uplink.start()
+    rig.broken = True
+    for n in range(2):
+        rig.uplink.submit(frame(rig.clock.now_ns()), "x.png")
+        assert eventually(lambda n=n: rig.ledger.fates[Fate.SEND_FAILED] == n + 1)
+    rig.broken = False
+    assert rig.submit_and_send() == ("w1", 2)
+    rig.uplink.stop()
+    rig.ledger.close()
+    assert rig.uplink.send_failures == 2
+    assert len(caplog.records) == 1
