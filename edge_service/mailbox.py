@@ -93,7 +93,10 @@ class _Slot:
 
 
 class Mailbox:
-    """Slots of at most ``max_drones`` drones; a silent one's is given to a new one."""
+    """Slots of at most ``max_drones`` drones; a silent one's is given to a new one.
+
+    Of a drone that has no slot nothing is remembered, not even that its frame has come before.
+    """
 
     def __init__(self, max_drones: int, idle_ns: int) -> None:
         self._max_drones = max_drones

@@ -77,7 +77,7 @@ class Metrics:
         self.frames.labels(output.outcome.value).inc()
         for stage, spent_ns in output.stages_ns.items():
             self.stage.labels(stage).observe(spent_ns * 1e-9)
-        if output.stages_ns:  # it was worked on, not turned away
+        if output.stages_ns:  # it came to the worker, and was not turned away before
             self.service.observe(service_ns * 1e-9)
 
     def text(self) -> bytes:

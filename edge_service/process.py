@@ -10,7 +10,7 @@ import time
 from importlib import metadata
 
 from edge_service.http.app import create_app
-from edge_service.http.server import HttpServer, bind
+from edge_service.http.server import HttpServer, bind, url_of
 from edge_service.mailbox import Mailbox
 from edge_service.metrics import Metrics
 from edge_service.parts import make_pipeline, make_transport
@@ -39,8 +39,7 @@ async def _serve(settings: EdgeSettings) -> int:
     mailbox = Mailbox(settings.max_drones, int(settings.drone_idle_s * 1e9))
     state = ServiceState(settings, Metrics(), mailbox)
     listener = bind(*settings.http_address)
-    host, port = listener.getsockname()[:2]
-    _say(f"http   http://{host}:{port} (alive, not ready)")
+    _say(f"http   {url_of(listener)} (alive, not ready)")
     http = HttpServer(create_app(state))
     http_task = asyncio.create_task(http.serve([listener]))
     stop = _stop_on_signals()
@@ -55,7 +54,7 @@ async def _serve(settings: EdgeSettings) -> int:
     finally:
         http.should_exit = True
         await http_task
-    _say("bye" if finished else "bye; the worker did not come round in time")
+    _say("bye" if finished else "bye; the worker is stuck with a frame")
     return EXIT_OK if finished else EXIT_STUCK
 
 

@@ -53,6 +53,7 @@ class Replies:
     def answer(self, arrival: Arrival, output: Output) -> None:
         """Send the one result of a frame."""
         header = arrival.packed.header
+        target = None if output.found is None else target_pose_message(output.found)
         t3_ns = self._clock.now_ns()
         result = Result(
             drone=header.drone,
@@ -66,7 +67,7 @@ class Replies:
             worker_boot_id=self._boot_id,
             outcome=output.outcome,
             reason=output.reason,
-            target=None if output.found is None else target_pose_message(output.found),
+            target=target,
             stages_ns=output.stages_ns,
             model=self._model_hash,
             draining=self.draining,

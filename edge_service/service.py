@@ -19,6 +19,8 @@ from edge_service.transport import Transport
 from edge_service.worker import Worker
 from rgbd_wire.clock import Clock
 
+LAST_FRAME_S = 1.0
+"""For the frame that is in work when the time is up; longer than any takes."""
 LINGER_S = 0.25
 """After the token is down: what is on its way by then is still told to go elsewhere."""
 
@@ -59,22 +61,24 @@ class EdgeService:
         self._transport.announce()
 
     def drain(self, wait: Callable[[float], None]) -> bool:
-        """Answer what is there, turn away what comes, and close the link; within ``drain_s``.
+        """Answer what is there, turn away what comes, and close the link.
+
+        It takes at most ``drain_s`` for the frames that wait, and ``LINGER_S + LAST_FRAME_S``.
 
         Args:
             wait: sleeps for so long [s].
 
         Returns:
-            Whether every frame has been worked on; False: the worker was stuck or too slow, and
-            what still waited was told to go elsewhere.
+            Whether every frame has been answered; False: the worker is stuck with one.
         """
         self._state.draining = True
         self._replies.draining = True
         self._transport.withdraw()
         self._state.mailbox.close()
-        finished = self._worker.join(self._settings.drain_s)
+        self._worker.join(self._settings.drain_s)
         for arrival in self._state.mailbox.empty():
             self._replies.answer(arrival, ANSWERS[Verdict.CLOSED])
-        wait(min(LINGER_S, self._settings.drain_s))
+        wait(LINGER_S)
+        finished = self._worker.join(LAST_FRAME_S)
         self._transport.close()
         return finished

@@ -58,5 +58,11 @@ def bind(host: str, port: int) -> socket.socket:
     return listener
 
 
+def url_of(listener: socket.socket) -> str:
+    """Where a listening socket is reached."""
+    host, port = listener.getsockname()[:2]
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
 def _sentence(host: str, port: int, error: OSError) -> str:
     return f"HTTP on {host}:{port}: {error.strerror}; give another address with --http or EDGE_HTTP"

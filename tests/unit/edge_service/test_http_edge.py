@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -15,10 +16,10 @@ import imagecodecs
 import numpy as np
 import pytest
 
-from edge_service.errors import ImageError
+from edge_service.errors import AddressError, ImageError
 from edge_service.http.app import create_app
 from edge_service.http.examples import CAMERA, LOCALIZED
-from edge_service.http.server import HttpServer, bind
+from edge_service.http.server import HttpServer, bind, url_of
 from rgbd_wire.camera import camera_from_json
 from target_pose.candidate import Detections
 from target_pose.target import Level
@@ -188,6 +189,25 @@ def test_too_large_an_upload_is_cut_off(client, declared):
     assert response.headers["connection"] == "close"
 
 
+def test_a_client_that_goes_away_leaves_no_trace(caplog):
+    """Half an upload and a closed connection: counted, not logged, and its place is free again."""
+    bench = Bench(http_waiting=2)
+    with serving(bench) as client:
+        for _ in range(3):  # as many as have a place
+            with socket.create_connection((client.base_url.host, client.base_url.port)) as half:
+                half.sendall(
+                    b"POST /v1/localize HTTP/1.1\r\nHost: x\r\nContent-Length: 9000\r\n"
+                    b"Content-Type: multipart/form-data; boundary=x\r\n\r\n--x\r\n"
+                )
+        asked = 0
+        while bench.count("edge_http_localize_total", status="400") < 3:
+            client.get("/livez")
+            asked += 1
+            assert asked < 5000
+        assert client.post("/v1/localize", files=FILES).status_code == 200
+    assert caplog.text == ""
+
+
 def test_pictures_wait_in_a_bounded_line():
     """One in work, as many waiting as the setting says, the others get a 503 at once."""
     detector = HeldDetector()
@@ -303,6 +323,23 @@ def test_the_examples_are_true(client):
     assert body["target"].keys() == example["target"].keys()
     assert body["target"]["evidence"].keys() == example["target"]["evidence"].keys()
     assert body["timings_ms"].keys() == example["timings_ms"].keys()
+
+
+def test_where_a_socket_is_reached():
+    """A URL that can be pasted, of the port that was given."""
+    with bind("127.0.0.1", 0) as listener:
+        assert url_of(listener) == f"http://127.0.0.1:{listener.getsockname()[1]}"
+
+
+@pytest.mark.parametrize(("host", "words"), [("192.0.2.1", "Cannot assign"), ("no.invalid", "")])
+def test_an_address_that_is_not_ours_is_one_line(host, words):
+    """Which address, what is wrong with it, which flag gives another one."""
+    with pytest.raises(AddressError) as error:
+        bind(host, 1)
+    line = str(error.value)
+    assert line.startswith(f"HTTP on {host}:1: ")
+    assert words in line
+    assert "--http or EDGE_HTTP" in line
 
 
 def test_a_path_that_is_none_is_a_404(client):

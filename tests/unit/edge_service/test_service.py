@@ -7,6 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from edge_service import service
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.frame_codec import FrameStamp, compress, pack
 from rgbd_wire.geometry import Pose
@@ -75,26 +76,40 @@ def test_a_drain_answers_everything_and_says_so_in_every_result():
     assert not bench.transport.is_open
 
 
-def test_a_stuck_worker_does_not_hold_the_drain():
-    """Past its bound the drain tells what waits to go elsewhere, and reports that it was so."""
+def test_when_the_time_is_up_what_waits_is_told_to_go_elsewhere(monkeypatch):
+    """The frame in work is still finished; those behind it are told, and all is answered."""
     detector = HeldDetector()
     bench = Bench(detector, drain_s=0)
     bench.service.start()
     bench.deliver(message(drone="d1"))
     assert detector.entered.acquire(timeout=20)
     bench.deliver(message(drone="d2"))
+    monkeypatch.setattr(service, "LAST_FRAME_S", 20.0)
+    assert bench.service.drain(lambda _: detector.go.release())
+    told = [(r.drone, r.outcome) for r in bench.transport.results()]
+    assert told == [("d2", Outcome.DRAINING), ("d1", Outcome.TARGET)]
+
+
+def test_a_stuck_worker_does_not_hold_the_drain(monkeypatch):
+    """Past its bound the drain gives up the frame in work, and reports that it was so."""
+    detector = HeldDetector()
+    bench = Bench(detector, drain_s=0)
+    bench.service.start()
+    bench.deliver(message())
+    assert detector.entered.acquire(timeout=20)
+    monkeypatch.setattr(service, "LAST_FRAME_S", 0.0)
     assert not bench.drain()
-    assert [(r.drone, r.outcome) for r in bench.transport.results()] == [("d2", Outcome.DRAINING)]
     detector.go.release()
 
 
-def test_an_answer_that_finds_the_link_closed_is_counted():
+def test_an_answer_that_finds_the_link_closed_is_counted(monkeypatch):
     """A worker that comes round after the link has closed counts, and does not fail."""
     detector = HeldDetector()
     bench = Bench(detector, drain_s=0)
     bench.service.start()
     bench.deliver(message())
     assert detector.entered.acquire(timeout=20)
+    monkeypatch.setattr(service, "LAST_FRAME_S", 0.0)
     bench.drain()
     detector.go.release()
     assert bench.state.worker.join(20)

@@ -1,0 +1,52 @@
+"""Logging: one JSON object per line."""
+
+from __future__ import annotations
+
+import json
+import logging
+
+import pytest
+
+from edge_service.json_log import JsonFormatter, configure
+
+
+@pytest.fixture(autouse=True)
+def _own_root_logger():
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:] = handlers
+    root.setLevel(level)
+
+
+def test_a_record_is_one_line_with_its_extras(capsys):
+    """Message, level and everything that was given as extra, on stderr."""
+    configure("WARNING")
+    log = logging.getLogger("some.module")
+    log.warning("frame %s", "refused", extra={"reason": "checksum", "color_message": "x"})
+    log.info("quiet")
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    (line,) = captured.err.splitlines()
+    record = json.loads(line)
+    assert record.pop("time")
+    assert record == {
+        "level": "WARNING",
+        "logger": "some.module",
+        "message": "frame refused",
+        "reason": "checksum",
+    }
+
+
+def test_a_traceback_stays_on_its_line():
+    """An exception is a field, and what JSON does not know is written as text."""
+    try:
+        raise ValueError("two\nlines")
+    except ValueError as error:
+        record = logging.makeLogRecord(
+            {"msg": "failed", "exc_info": (type(error), error, error.__traceback__), "at": {1, 2}}
+        )
+    line = JsonFormatter().format(record)
+    assert "\n" not in line
+    assert "ValueError: two\nlines" in json.loads(line)["exception"]
+    assert json.loads(line)["at"] == "{1, 2}"
