@@ -70,7 +70,9 @@ def train(
         plot_log(out / training.LOG, out / "loss.png")
         console.print(f"weights: {weights}")
         if held_out:
-            detector = TorchDetector(weights, score_threshold=AP_SCORE_THRESHOLD)
+            detector = TorchDetector(
+                weights, threads=settings.workers, score_threshold=AP_SCORE_THRESHOLD
+            )
             scores = evaluate_detector(detector.detect, held_out, load_target(target))
             (out / "evaluation.json").write_text(json.dumps(scores.as_json(), indent=1) + "\n")
             _print_report(console, scores)
@@ -80,13 +82,15 @@ def evaluate(
     weights: Annotated[Path, typer.Argument(help="A run's folder or a weights file.")],
     data: Annotated[Path, typer.Argument(help="Data set: images/ and labels.jsonl.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    workers: Annotated[int | None, typer.Option(help="CPUs to use; default: all.")] = None,
     target: Annotated[str, typer.Option(help="Target that the data shows.")] = "bullseye-400",
 ) -> None:
     """Score a detector: AP, recall and false alarms per level and per condition."""
     with _one_line_errors():
         path = weights / training.WEIGHTS if weights.is_dir() else weights
-        detector = TorchDetector(path, score_threshold=AP_SCORE_THRESHOLD)
-        scores = evaluate_detector(detector.detect, load_dataset(data), load_target(target))
+        samples, shape = load_dataset(data), load_target(target)
+        detector = TorchDetector(path, threads=workers, score_threshold=AP_SCORE_THRESHOLD)
+        scores = evaluate_detector(detector.detect, samples, shape)
         if as_json:
             typer.echo(json.dumps(scores.as_json(), indent=1))
         else:

@@ -30,6 +30,8 @@ MAX_CELLS_PER_LEVEL = 300
 
 WARM_UP_SIZE = (480, 640)
 WARM_UP_RUNS = 5
+WARM_UP_LIMIT_S = 2.0
+"""On a machine that is busy with other things the choice of the precision may not take longer."""
 
 
 class TorchDetector:
@@ -150,7 +152,10 @@ class TorchDetector:
                 ready.append((fused, dtype))
         blank = np.zeros((*WARM_UP_SIZE, 3), np.uint8)
         best = [float("inf")] * len(ready)
+        limit = time.perf_counter() + WARM_UP_LIMIT_S
         for run in range(1 + WARM_UP_RUNS):
+            if run > 1 and time.perf_counter() > limit:
+                break
             for k, (fused, dtype) in enumerate(ready):  # in turns: a busy moment hits both
                 start = time.perf_counter()
                 self._infer(fused, dtype, blank)

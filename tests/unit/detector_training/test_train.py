@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import csv
 import dataclasses
-import json
 
 import cv2
 import numpy as np
@@ -32,6 +31,7 @@ from detector_training.train import (
 from edge_service.detector.net import NetConfig, TargetNet
 from edge_service.detector.weights import load_weights
 from target_pose.target import Level
+from tests.unit.detector_training.tiny import write_tiny
 
 SIZE = (160, 128)
 TINY = {
@@ -56,33 +56,7 @@ def _source(samples, pictures, seed=0):
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory):
     """Four small pictures with a bullseye each."""
-    folder = tmp_path_factory.mktemp("data")
-    (folder / "images").mkdir()
-    rows = []
-    for k in range(4):
-        picture = np.full((192, 256, 3), 90 + 10 * k, np.uint8)
-        u, v, half = 70 + 30 * k, 90 + 5 * k, 40
-        cv2.rectangle(picture, (u - half, v - half), (u + half, v + half), (220,) * 3, -1)
-        for radius, gray in ((30, 20), (14, 220), (6, 20)):
-            cv2.circle(picture, (u, v), radius, (gray,) * 3, -1)
-        cv2.imwrite(str(folder / f"images/{k:06d}.jpg"), picture)
-        sides = dict(zip(Level, (40, 30, 14), strict=True))
-        boxes = [
-            {"level": level, "xyxy": [u - s, v - s, u + s, v + s], "visible": 1.0}
-            for level, s in sides.items()
-        ]
-        rows.append(
-            {
-                "image": f"images/{k:06d}.jpg",
-                "width": 256,
-                "height": 192,
-                "kind": "scene",
-                "conditions": [],
-                "boxes": boxes,
-            }
-        )
-    (folder / "labels.jsonl").write_text("".join(json.dumps(r) + "\n" for r in rows))
-    return load_dataset(folder)
+    return load_dataset(write_tiny(tmp_path_factory.mktemp("data")))
 
 
 def _steps(run):
