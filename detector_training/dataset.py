@@ -104,7 +104,13 @@ def load_dataset(folder: Path) -> tuple[Sample, ...]:
                     raise DatasetError(f"{path} has over {MAX_PICTURES} lines")
                 try:
                     samples.append(_sample(folder, json.loads(line)))
-                except (DatasetError, ValueError, TypeError) as error:
+                except (
+                    DatasetError,
+                    ValueError,
+                    TypeError,
+                    OverflowError,
+                    RecursionError,
+                ) as error:
                     raise DatasetError(f"{path} line {number}: {error}") from None
                 except KeyError as error:
                     raise DatasetError(f"{path} line {number}: lacks {error.args[0]}") from None
@@ -119,7 +125,7 @@ def _sample(folder: Path, raw: Any) -> Sample:
     if not isinstance(raw, dict):
         raise DatasetError("a line must be a JSON object")
     name = PurePosixPath(str(raw["image"]))
-    if name.is_absolute() or ".." in name.parts:
+    if not name.parts or name.is_absolute() or ".." in name.parts:
         raise DatasetError(f"image {str(name)!r} leaves the data set's folder")
     path = folder / name
     if name.parts[0] != "images":  # the label may name the file alone

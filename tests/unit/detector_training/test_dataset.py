@@ -65,7 +65,9 @@ def test_a_picture_without_targets_has_empty_arrays(folder):
     [
         ({"image": "../secret.jpg"}, "leaves"),
         ({"image": "/etc/passwd"}, "leaves"),
+        ({"image": ""}, "leaves"),
         ({"width": 0}, "0x48"),
+        ({"width": float("inf")}, "infinity"),
         ({"kind": "other"}, "other"),
         ({"boxes": [{"level": "T_worst", "xyxy": [0, 0, 1, 1], "visible": 1}]}, "T_worst"),
         ({"boxes": [{"level": "T_good", "xyxy": [0, 0, 1], "visible": 1}]}, "xyxy"),
@@ -83,7 +85,7 @@ def test_a_wrong_field_is_named_with_its_line(folder, change, says):
         load_dataset(folder)
 
 
-@pytest.mark.parametrize("line", ["{", "[]", "null", '{"image": 1}', '"x"'])
+@pytest.mark.parametrize("line", ["{", "[" * 50_000, "[]", "null", '{"image": 1}', '"x"'])
 def test_a_line_that_is_no_label_is_refused(folder, line):
     """Broken JSON and other JSON alike."""
     _write(folder, line)
