@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import fmean
 
 from rgbd_wire.camera import CameraIntrinsics
 from target_pose.candidate import Box, Candidate
@@ -37,14 +38,22 @@ class BoxGuess:
 def box_guesses(
     candidate: Candidate, target: Target, intrinsics: CameraIntrinsics
 ) -> list[BoxGuess]:
-    """One guess per usable level: whole boxes first, then those nearest in size to the disc."""
+    """Guesses, the best first: whole boxes, and among those the nearest in size to the disc."""
     diameter_m = target.discs[0].diameter_m
     guesses = []
     for level, box in candidate.boxes.items():
         guess = _guess(box, diameter_m / target.level_m[level], intrinsics)
         if guess is not None:
             guesses.append((guess.cut, _distance(level, target), guess))
-    return [guess for *_, guess in sorted(guesses, key=lambda g: g[:2])]
+    ordered = [guess for *_, guess in sorted(guesses, key=lambda g: g[:2])]
+    whole = [guess for guess in ordered if not guess.cut]
+    if len(whole) > 1:
+        # the boxes are concentric: their mean centre is surer than each
+        centers = [guess.disc.center_px for guess in whole]
+        middle = (fmean(u for u, _ in centers), fmean(v for _, v in centers))
+        disc = DiscGuess(middle, whole[0].disc.semi_axes_px)
+        ordered.insert(0, BoxGuess(disc, cut=False, sized=True))
+    return ordered
 
 
 def _distance(level: Level, target: Target) -> float:

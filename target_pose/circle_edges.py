@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -11,19 +12,25 @@ from numpy.typing import NDArray
 from rgbd_wire.camera import CameraIntrinsics
 from target_pose.conic import CirclePose
 from target_pose.lens import project, rays_from_pixels
-from target_pose.profiles import blur_variance, gray_values, slopes, strongest_edges
+from target_pose.profiles import (
+    SMOOTHING_STEPS,
+    blur_variance,
+    gray_values,
+    slopes,
+    strongest_edges,
+)
 from target_pose.target import Shade, Target
 
 Array: TypeAlias = NDArray[np.float64]
 
 MIN_CIRCLE_PX = 12.0
 """Least width of an inner circle that is measured: under it, its edges run into one another."""
-MIN_GAP_PX = 3.0
-"""Least distance between two printed edges that are measured, for the same reason."""
-MAX_POINTS = 80
+CROSSTALK_FLOOR_PX = 0.02
+"""Shift by a neighbouring edge that costs a point half of its say."""
+MAX_POINTS = 64
 """Per circle."""
 MIN_POINTS = 24
-SAMPLES = 21
+SAMPLES = 25
 """Per profile; the smoothing takes four at each end."""
 
 
@@ -32,6 +39,8 @@ class PrintedCircle(NamedTuple):
 
     radius_m: float
     dark_inside: bool
+    clearance_m: float
+    """Distance to the next printed edge, be it a circle's or the board's."""
 
 
 class CircleEdges(NamedTuple):
@@ -44,30 +53,30 @@ class CircleEdges(NamedTuple):
     dark_side: Array  # (N,)
     """Where the dark side lies: +1 inside, -1 outside."""
     share: Array  # (N,)
-    """What one point counts for: less than 1 where neighbours share their pixels."""
+    """What one point counts for: less than 1 where neighbours share their pixels, next to nothing
+    where another printed edge is so near that the two run into one another."""
     blur_px: float
     """Standard deviation of the blur; NaN if it could not be measured."""
 
 
 def printed_circles(target: Target) -> tuple[PrintedCircle, ...]:
     """The target's edges from the outside in."""
-    return tuple(PrintedCircle(d.diameter_m / 2, d.shade is Shade.BLACK) for d in target.discs)
+    radii = [target.board_side_m / 2, *(d.diameter_m / 2 for d in target.discs)]
+    gaps = [outer - inner for outer, inner in pairwise(radii)]
+    # inside the innermost disc there is no edge but its own
+    clearances = [min(pair) for pair in zip(gaps, [*gaps[1:], math.inf], strict=True)]
+    return tuple(
+        PrintedCircle(disc.diameter_m / 2, disc.shade is Shade.BLACK, clearance)
+        for disc, clearance in zip(target.discs, clearances, strict=True)
+    )
 
 
 def circles_worth_measuring(
-    circles: tuple[PrintedCircle, ...], px_per_m: float, foreshortening: float
+    circles: tuple[PrintedCircle, ...], px_per_m: float
 ) -> tuple[PrintedCircle, ...]:
-    """The outermost circle, and the inner ones that are wide enough and stand clear."""
-    kept = [circles[0]]
-    radii = [c.radius_m for c in circles] + [0.0]
-    for k in range(1, len(circles)):
-        narrow_px = px_per_m * foreshortening
-        gap_m = min(radii[k - 1] - radii[k], 2 * radii[k] if k == len(circles) - 1 else math.inf)
-        if k < len(circles) - 1:
-            gap_m = min(gap_m, radii[k] - radii[k + 1])
-        if 2 * radii[k] * px_per_m >= MIN_CIRCLE_PX and gap_m * narrow_px >= MIN_GAP_PX:
-            kept.append(circles[k])
-    return tuple(kept)
+    """The outermost circle, and the inner ones that are wide enough."""
+    inner = (c for c in circles[1:] if 2 * c.radius_m * px_per_m >= MIN_CIRCLE_PX)
+    return (circles[0], *inner)
 
 
 def measure_edges(
@@ -77,7 +86,7 @@ def measure_edges(
     circles: tuple[PrintedCircle, ...],
     step_px: float,
 ) -> CircleEdges | None:
-    """Look for every circle's edge within about 6 steps of where the pose predicts it.
+    """Look for every circle's edge within eight steps of where the pose predicts it.
 
     A disc's edge that is blurred by a Gaussian of variance s^2 moves inwards by s^2 k / 2, with k
     the curvature of its outline in the picture: the variance is measured from the profiles
@@ -97,6 +106,9 @@ def measure_edges(
     blur2 = blur_variance(signed, edges) * step_px**2
     inward = 0.5 * outline.curvature[known] * (blur2 if math.isfinite(blur2) else 0.0)
     along = (edges.at[known] - (SAMPLES - 1) / 2) * step_px + inward
+    edge_px = math.hypot(
+        math.sqrt(blur2) if math.isfinite(blur2) else 1.0, SMOOTHING_STEPS * step_px
+    )
     xy = rays_from_pixels(outline.uv[known] + outline.normal[known] * along[:, None], intrinsics)
     real = np.isfinite(xy).all(axis=1)
     if not real.any():
@@ -105,9 +117,22 @@ def measure_edges(
         xy[real],
         outline.radius_m[known][real],
         outline.dark_side[known][real],
-        np.minimum(outline.spacing_px[known][real] / 2.0, 1.0),
+        _share(outline, edge_px)[known][real],
         math.sqrt(blur2) if math.isfinite(blur2) else math.nan,
     )
+
+
+def _share(outline: _Outline, edge_px: float) -> Array:
+    """What the points count for, (N,).
+
+    Of two opposite steps that a Gaussian of deviation s blurs, each moves the other's steepest
+    point away by d exp(-(d/s)^2 / 2), d being their distance: to first order in the exponential.
+    """
+    d = outline.clearance_px
+    shift = d * np.exp(-0.5 * np.square(d / edge_px))
+    crowded = np.minimum(outline.spacing_px / 2.0, 1.0)
+    # a shift is alike in neighbouring points, so that their number does not average it out
+    return np.asarray(crowded / (1 + np.square(shift / CROSSTALK_FLOOR_PX)))
 
 
 class _Outline(NamedTuple):
@@ -115,6 +140,7 @@ class _Outline(NamedTuple):
     normal: Array  # (N, 2), outwards
     curvature: Array  # (N,) [1/px]
     spacing_px: Array  # (N,)
+    clearance_px: Array  # (N,)
     radius_m: Array  # (N,)
     dark_side: Array  # (N,)
 
@@ -132,6 +158,7 @@ def _outline(
         angle = np.arange(count) * (2 * math.pi / count)
         rim = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up
         uv = project(pose.center + circle.radius_m * rim, intrinsics)
+        nearby = project(pose.center + (1 - _NEARBY) * circle.radius_m * rim, intrinsics)
         # derivatives around the closed curve by central differences: exact enough at 24 points
         h = 2 * math.pi / count
         ahead, behind = np.roll(uv, -1, axis=0), np.roll(uv, 1, axis=0)
@@ -141,12 +168,14 @@ def _outline(
         turn = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
         normal = np.stack([first[:, 1], -first[:, 0]], axis=1) / np.maximum(speed, 1e-9)[:, None]
         normal *= np.sign(turn)[:, None]
+        px_per_m_across = ((uv - nearby) * normal).sum(axis=1) / (_NEARBY * circle.radius_m)
         parts.append(
             (
                 uv,
                 normal,
                 np.abs(turn) / np.maximum(speed, 1e-9) ** 3,
                 speed * h,
+                px_per_m_across * min(circle.clearance_m, 2 * circle.radius_m),
                 np.full(count, circle.radius_m),
                 np.full(count, 1.0 if circle.dark_inside else -1.0),
             )
@@ -161,3 +190,7 @@ def board_axes(normal: Array) -> tuple[Array, Array]:
     right = np.cross(normal, least)
     right /= np.linalg.norm(right)
     return right, np.cross(normal, right)
+
+
+_NEARBY = 0.02
+"""Step inwards, in radii, that measures how many pixels a metre has across the edge."""

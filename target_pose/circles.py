@@ -25,11 +25,9 @@ from target_pose.plane import InverseDepthPlane
 
 Array: TypeAlias = NDArray[np.float64]
 
-COARSE_STEP_SHARE = 0.02
-"""Step of the first profiles over the disc's radius."""
-MIN_STEP_PX, MAX_STEP_PX = 0.5, 2.0
-STEP_PER_BLUR = 0.6
-"""Step of the second profiles over the blur: six steps each way hold the whole edge."""
+MIN_STEP_PX, MAX_STEP_PX = 0.4, 2.0
+STEP_PER_BLUR = 0.45
+"""Step of the profiles over the blur: eight steps each way hold the whole edge."""
 MIN_INLIER_SHARE = 0.5
 """Of the edge points measured; the rest may be covered."""
 MIN_POINTS = 16
@@ -62,27 +60,16 @@ def find_circle(
     outer: PrintedCircle,
     guesses: list[BoxGuess],
 ) -> RoughCircle | None:
-    """Find the outer disc by the first guess under which it shows, and measure it roughly."""
+    """Find the outer disc by the first guess under which it shows."""
     for guess in guesses:
         outline = find_disc(image, guess.disc, outer.dark_inside)
         if outline is None:
             continue
-        folds = _poses(rays_from_pixels(outline, intrinsics), outer.radius_m)
+        folds = _poses(rays_from_pixels(outline.uv_px, intrinsics), outer.radius_m)
         if folds is None:
             continue
-        radius_px = outer.radius_m * _px_per_m(intrinsics, folds[0])
-        step = min(max(COARSE_STEP_SHARE * radius_px, MIN_STEP_PX), MAX_STEP_PX)
-        edges = measure_edges(image, intrinsics, folds[0], (outer,), step)
-        if edges is None or len(edges.xy) < MIN_POINTS:
-            continue
-        blur = edges.blur_px if math.isfinite(edges.blur_px) else 1.0
-        fine = min(max(STEP_PER_BLUR * blur, MIN_STEP_PX), MAX_STEP_PX)
-        fit = fit_circles(edges, intrinsics, folds[0])
-        if fit is None or not _round(fit, radius_px):
-            continue
-        folds = _poses(edges.xy[fit.inliers], outer.radius_m)
-        if folds is not None:
-            return RoughCircle(folds, fine)
+        blur = outline.blur_px if math.isfinite(outline.blur_px) else 1.0
+        return RoughCircle(folds, min(max(STEP_PER_BLUR * blur, MIN_STEP_PX), MAX_STEP_PX))
     return None
 
 
@@ -102,8 +89,7 @@ def measure_circles(
     if nearest_to is not None and second.normal @ nearest_to > first.normal @ nearest_to:
         first, second = second, first
     px_per_m = _px_per_m(intrinsics, first)
-    ray = first.center / np.linalg.norm(first.center)
-    worth = circles_worth_measuring(circles, px_per_m, abs(float(first.normal @ ray)))
+    worth = circles_worth_measuring(circles, px_per_m)
     edges = measure_edges(image, intrinsics, first, worth, rough.step_px)
     if edges is None or len(edges.xy) < MIN_POINTS:
         return None

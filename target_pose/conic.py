@@ -22,6 +22,25 @@ class CirclePose(NamedTuple):
     """Unit normal of its plane, towards the camera."""
 
 
+def conic_of_circle(circle: CirclePose, radius_m: float) -> Array:
+    """The conic (3, 3) to which a circle projects: ``circle_poses`` backwards.
+
+    A ray d meets the circle's plane in d (n.c)/(n.d); that this point is a radius from the centre
+    is a quadratic form in d.
+    """
+    center, normal = circle
+    a = float(normal @ center) * np.eye(3) - np.outer(center, normal)
+    return np.asarray(a.T @ a - radius_m**2 * np.outer(normal, normal))
+
+
+def other_fold(circle: CirclePose, radius_m: float) -> CirclePose:
+    """The other circle that looks the same; the same one where it is seen along its axis."""
+    poses = circle_poses(conic_of_circle(circle, radius_m), radius_m)
+    if poses is None:
+        return circle
+    return min(poses, key=lambda p: float(p.normal @ circle.normal))
+
+
 def circle_poses(conic: Array, radius_m: float) -> tuple[CirclePose, CirclePose] | None:
     """Both circles that project to a conic: its two folds.
 

@@ -21,7 +21,9 @@ MAX_RANGE_SHARE = 0.5
 """Standard deviation of the position over its range, for the same reason."""
 MIN_SIGMA_M = 2e-4
 MIN_SIGMA_RAD = 1e-3
-"""No printed board is flatter, and no camera calibrated better."""
+"""No printed board is flatter."""
+BEARING_SIGMA_RAD = 5e-4
+"""Error of a camera's calibration across the line of sight: a fifth to a third of a pixel."""
 
 
 def covariance_from_information(
@@ -34,7 +36,9 @@ def covariance_from_information(
     prior[:3, :3] = np.eye(3) / (MAX_RANGE_SHARE * range_m) ** 2
     prior[3:, 3:] = (np.eye(3) - about_normal) / MAX_TILT_SIGMA_RAD**2
     prior[3:, 3:] += about_normal / roll_sigma_rad**2
-    return floored(np.linalg.inv(information + prior))
+    covariance = np.asarray(np.linalg.inv(information + prior))
+    covariance[:3, :3] += _along(center / range_m, 0.0, BEARING_SIGMA_RAD * range_m)
+    return floored(covariance)
 
 
 def covariance_along(

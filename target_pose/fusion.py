@@ -27,7 +27,7 @@ EDGE_FLOOR_PX = 0.04
 TILT_DAMPING = 10.0
 """[1/rad^2] Keeps a step finite where a frontal circle says nothing of its tilt to first order."""
 ITERATIONS = 10
-CONVERGED = 2e-5
+CONVERGED = 5e-5
 """Step [rad], or over the range, under which nothing is gained: a tenth of the best accuracy."""
 NEAREST_M = 0.05
 MIN_M_PER_PX = 1e-7

@@ -16,7 +16,7 @@ from target_pose.box_guess import BoxGuess, box_guesses
 from target_pose.candidate import Box, Candidate
 from target_pose.circle_edges import board_axes, printed_circles
 from target_pose.circles import SeenCircles, find_circle, fit_fold, measure_circles
-from target_pose.conic import CirclePose
+from target_pose.conic import CirclePose, other_fold
 from target_pose.covariance import (
     covariance_along,
     covariance_from_information,
@@ -221,7 +221,7 @@ def _fused(view: _View, seen: SeenCircles, free: _FreeFit, depth: _Depth) -> Loc
         view,
         fused,
         Method.FUSED,
-        alternative=free.other,
+        alternative=other_fold(fused.pose, view.target.discs[0].diameter_m / 2),
         ranges=(range_ellipse, range_plane),
         depth=depth,
     )

@@ -30,23 +30,30 @@ class ProfileEdges(NamedTuple):
 
 
 def gray_values(image: NDArray[np.uint8], uv: Array) -> Array:
-    """Bilinear grey values (...) at pixels (..., 2) of a picture (H, W); NaN outside of it."""
+    """Bilinear grey values (...) at pixels (..., 2) of a picture (H, W); NaN outside of it.
+
+    Written out because ``cv2.remap`` rounds positions to 1/32 of a pixel.
+    """
     height, width = image.shape
     u, v = uv[..., 0], uv[..., 1]
-    with np.errstate(invalid="ignore"):
-        inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
-    u = np.where(inside, u, 0.0)
-    v = np.where(inside, v, 0.0)
+    inside: NDArray[np.bool_] | None = None
+    # false for NaN, too
+    if not (u.min() >= 0 and v.min() >= 0 and u.max() <= width - 1 and v.max() <= height - 1):
+        with np.errstate(invalid="ignore"):
+            inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
+        u, v = np.where(inside, u, 0.0), np.where(inside, v, 0.0)
     left = np.minimum(u.astype(np.intp), max(width - 2, 0))
     top = np.minimum(v.astype(np.intp), max(height - 2, 0))
     fu, fv = u - left, v - top
-    flat = image.ravel()
     at = top * width + left
     right = 1 if width > 1 else 0
     below = width if height > 1 else 0
-    upper = flat[at] * (1 - fu) + flat[at + right] * fu
-    lower = flat[at + below] * (1 - fu) + flat[at + below + right] * fu
-    return np.asarray(np.where(inside, upper * (1 - fv) + lower * fv, np.nan))
+    flat = image.ravel()
+    upper = flat.take(at) * (1 - fu) + flat.take(at + right) * fu
+    at += below
+    lower = flat.take(at) * (1 - fu) + flat.take(at + right) * fu
+    gray = upper * (1 - fv) + lower * fv
+    return np.asarray(gray if inside is None else np.where(inside, gray, np.nan))
 
 
 def slopes(profiles: Array) -> Array:
@@ -72,7 +79,7 @@ def strongest_edges(signed_slopes: Array) -> ProfileEdges:
     (outside the picture) have none.
     """
     count, length = signed_slopes.shape
-    usable = np.isfinite(signed_slopes).all(axis=1)
+    usable = np.asarray(np.isfinite(signed_slopes).all(axis=1))
     s = np.where(usable[:, None], signed_slopes, 0.0)
     peak = s.argmax(axis=1)
     rows = np.arange(count)

@@ -27,8 +27,8 @@ EDGE_FLOOR_RAD = math.radians(0.3)
 MIN_UP_SINE = 0.35
 """Sine of the angle between up and normal under which a board has no upper edge: 20 degrees."""
 MIN_BOARD_PX = 24.0
-RAYS = 96
-SAMPLES = 40
+RAYS = 72
+SAMPLES = 32
 MIN_SLOPE = 1.0
 """Mean slope across the edges, in grey values per sample, that counts as an edge."""
 MIN_LEAD = 1.25
@@ -121,7 +121,7 @@ def _edge_turn(
     points = board.center + radii[None, :, None] * rim[:, None, :]
     uv = project(points.reshape(-1, 3), intrinsics).reshape(RAYS, SAMPLES, 2)
     slope = slopes(gray_values(image, uv))
-    seen = np.isfinite(slope).all(axis=1)
+    seen = np.asarray(np.isfinite(slope).all(axis=1))
     if np.count_nonzero(seen) < 0.7 * RAYS:
         return None
     slope = np.where(seen[:, None], slope, 0.0)
@@ -177,7 +177,7 @@ def _refined(
 
 
 _ANGLES = np.arange(RAYS) * (2 * math.pi / RAYS)
-_TURNS = np.radians(np.arange(-45.0, 45.0, 1.5))
+_TURNS = np.radians(np.arange(-45.0, 45.0, 2.5))
 _ROWS = np.arange(RAYS)
 # the angle of each ray to the normal of the side that it crosses, and that side, per turn
 _FROM_TURN = (_ANGLES[None, :] - _TURNS[:, None] + math.pi / 4) % (2 * math.pi)
