@@ -105,6 +105,18 @@ def test_true_boxes_nest_by_geometry_alone(tilt_deg, azimuth, roll, distance):
         assert nests(boxes[outer], boxes[inner], (least, most), (320, 240))
 
 
+@pytest.mark.parametrize(
+    ("side", "shift", "fits"),
+    [(200, 0, True), (130, 0, False), (300, 0, False), (200, 50, False), (170, 0, False)],
+)
+def test_size_and_place_are_bounded_on_both_sides(side, shift, fits):
+    """A box twice as large must be neither 1.3 nor 3 times as large, nor beside."""
+    inner = Box(450, 450, 550, 550, 0.9)
+    u = 500 + shift
+    outer = Box(u - side / 2, 500 - side / 2, u + side / 2, 500 + side / 2, 0.9)
+    assert nests(outer, inner, (2.0, 2.0), (1000, 1000)) == fits
+
+
 @pytest.mark.parametrize("missing", list(Level))
 def test_a_level_may_be_missing(missing):
     """Two levels of three make a target."""
