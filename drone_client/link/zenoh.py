@@ -63,7 +63,8 @@ class ZenohLink:
             "mode": "peer",
             "connect/endpoints": [check_endpoint(e) for e in endpoints],
             # A worker that is not there yet, or no more, is tried again for ever, in the background
-            "connect/timeout_ms": {"peer": 0},
+            # (0 would try once: a drone that starts first would never find its worker)
+            "connect/timeout_ms": {"peer": -1},
             "connect/exit_on_failure": {"peer": False},
             "connect/retry": {
                 "period_init_ms": 100,

@@ -1,0 +1,230 @@
+"""The Zenoh link against real sessions on loopback: found, served, lost, found again."""
+
+from __future__ import annotations
+
+import queue
+
+import pytest
+
+from drone_client.airframe import Airframe
+from drone_client.errors import LinkError
+from drone_client.gate import GateSettings
+from drone_client.link.zenoh import MAX_MESSAGE_BYTES, MAX_WORKERS, ZenohLink, check_endpoint
+from drone_client.reception import Receiver
+from rgbd_wire.clock import MonotonicClock
+from rgbd_wire.errors import Reject
+from tests.unit.drone_client.builders import eventually
+from tests.unit.drone_client.zenoh_worker import ZenohWorker
+
+CLOCK = MonotonicClock()
+
+
+class Drone:
+    """A started link and what came in over it."""
+
+    def __init__(self, *endpoints: str, name: str = "drone-1") -> None:
+        self.link = ZenohLink(name, endpoints, CLOCK)
+        self.got: queue.Queue[tuple[bytes, int]] = queue.Queue()
+        self.link.start(lambda message, t4_ns: self.got.put((message, t4_ns)))
+
+    def sees(self, *workers: str) -> bool:
+        """Whether these workers, and no other, are alive before long."""
+        return eventually(lambda: self.link.workers() == workers, timeout_s=20)
+
+
+def reversing(name: str = "w1") -> ZenohWorker:
+    """A worker that sends each frame back, reversed."""
+    return ZenohWorker(name, answer=lambda worker, frame: (frame[::-1],))
+
+
+@pytest.fixture(scope="module")
+def worker():
+    """A worker that lives."""
+    worker = reversing()
+    yield worker
+    worker.close()
+
+
+@pytest.fixture
+def mortal():
+    """A worker for tests that close it."""
+    worker = reversing()
+    yield worker
+    worker.close()
+
+
+@pytest.fixture
+def drone(worker):
+    """A drone connected to the worker that lives."""
+    drone = Drone(worker.endpoint)
+    yield drone
+    drone.link.close()
+
+
+def test_a_frame_goes_to_its_worker_and_the_answer_comes_back_with_its_time(worker, drone):
+    """The very bytes both ways; t4 lies between the sending and now, on the drone's clock."""
+    assert drone.sees("w1")
+    before_ns = CLOCK.now_ns()
+    frame = bytes(range(256)) * 150  # one batch of Zenoh's: a busy machine drops no part of it
+    drone.link.send("w1", frame)
+    assert worker.frames.get(timeout=10) == frame
+    message, t4_ns = drone.got.get(timeout=10)
+    assert message == frame[::-1][: MAX_MESSAGE_BYTES + 1]
+    assert before_ns < t4_ns <= CLOCK.now_ns()
+    assert drone.link.send_errors == 0
+
+
+def test_every_worker_whose_token_is_up_is_known_and_no_other(worker, drone):
+    """Those that were there before, those that come and those that go."""
+    assert drone.sees("w1")
+    other = worker.announce("a-worker")
+    assert drone.sees("a-worker", "w1")
+    other.undeclare()
+    assert drone.sees("w1")
+    worker.token.undeclare()
+    assert drone.sees()
+    worker.token = worker.announce("w1")
+    assert drone.sees("w1")
+
+
+def test_a_worker_that_dies_is_gone_and_is_served_again_when_it_is_back(mortal):
+    """The same port, another session: the link reconnects by itself, the publisher still works."""
+    drone = Drone(mortal.endpoint)
+    assert drone.sees("w1")
+    drone.link.send("w1", b"first")
+    assert mortal.frames.get(timeout=10) == b"first"
+    mortal.close()
+    assert drone.sees()
+    drone.link.send("w1", b"into the void")  # neither blocks nor raises
+    mortal.open()
+    assert drone.sees("w1")
+    drone.link.send("w1", b"again")
+    assert mortal.frames.get(timeout=10) == b"again"
+    messages = [drone.got.get(timeout=10)[0] for _ in range(2)]
+    assert messages == [b"tsrif", b"niaga"]
+    drone.link.close()
+
+
+def test_a_worker_that_is_not_there_yet_is_found_when_it_comes(mortal):
+    """The drone may start first."""
+    mortal.close()
+    drone = Drone(mortal.endpoint)
+    assert drone.link.workers() == ()
+    mortal.open()
+    assert drone.sees("w1")
+    drone.link.close()
+
+
+def test_a_drone_is_at_home_with_two_workers_at_once(worker):
+    """Each has its own endpoint; when one dies the other is still there."""
+    second = reversing("w2")
+    drone = Drone(worker.endpoint, second.endpoint)
+    assert drone.sees("w1", "w2")
+    second.close()
+    assert drone.sees("w1")
+    drone.link.send("w1", b"still here")
+    assert worker.frames.get(timeout=10) == b"still here"
+    drone.link.close()
+
+
+def test_a_worker_that_is_down_does_not_keep_the_drone_from_the_others(worker):
+    """The first endpoint answers nobody; the second serves; the first comes later."""
+    late = reversing("w0")
+    late.close()
+    drone = Drone(late.endpoint, worker.endpoint)
+    assert drone.sees("w1")
+    late.open()
+    assert drone.sees("w0", "w1")
+    drone.link.close()
+    late.close()
+
+
+def test_results_for_another_drone_do_not_come_in(worker, drone):
+    """Keys are directed."""
+    assert drone.sees("w1")
+    worker.reply("drone-2", b"not for us")
+    worker.reply("drone-1", b"for us")
+    assert drone.got.get(timeout=10)[0] == b"for us"
+
+
+def test_a_message_that_is_too_long_is_cut_and_counted(worker):
+    """Five megabytes where sixteen kilobytes may be: one reject, no exception, and life goes on."""
+    rejected = queue.Queue()
+    receiver = Receiver("d", 1, GateSettings(1, 1), Airframe(), lambda *_: None, lambda _: None)
+    link = ZenohLink("d", (worker.endpoint,), CLOCK)
+
+    def on_message(message: bytes, t4_ns: int) -> None:
+        receiver.on_message(message, t4_ns)
+        rejected.put(len(message))
+
+    link.start(on_message)
+    assert eventually(lambda: link.workers() == ("w1",))
+    for message in (bytes(5_000_000), b"AERC\x01\x02\0\0" + bytes(5_000_000), b"short"):
+        worker.reply("d", message)
+    assert [rejected.get(timeout=10) for _ in range(3)] == [MAX_MESSAGE_BYTES + 1] * 2 + [5]
+    assert receiver.rejects == {Reject.WRONG_MAGIC: 1, Reject.WRONG_SIZE: 1, Reject.TRUNCATED: 1}
+    link.close()
+
+
+def test_a_rogue_that_announces_thousands_of_workers_fills_no_memory(worker, drone):
+    """At most so many are known."""
+    assert drone.sees("w1")
+    tokens = [worker.announce(f"rogue-{i}") for i in range(MAX_WORKERS + 20)]
+    assert eventually(lambda: len(drone.link.workers()) == MAX_WORKERS)
+    marker = worker.announce("w1")  # what comes after them all has been looked at
+    worker.reply("drone-1", b"end")
+    assert drone.got.get(timeout=10)[0] == b"end"
+    assert len(drone.link.workers()) == MAX_WORKERS
+    for token in (*tokens, marker):
+        token.undeclare()
+
+
+def test_a_closed_link_drops_frames_and_counts_them(worker, drone):
+    """The last frames of a run find the session gone; closing twice is no harm."""
+    assert drone.sees("w1")
+    drone.link.close()
+    drone.link.send("w1", b"late")
+    drone.link.send("never-seen", b"late")
+    assert drone.link.send_errors == 2
+    drone.link.close()
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["tcp/127.0.0.1:7447", "tls/edge.example:65535", "tcp/[::1]:1", "tcp/under_score-host:7447"],
+)
+def test_an_endpoint_is_taken_as_it_is(endpoint):
+    """Names, IPv4, IPv6 in brackets."""
+    assert check_endpoint(endpoint) == endpoint
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "says"),
+    [
+        ("127.0.0.1:7447", "did you mean tcp/127.0.0.1:7447?"),
+        ("edge", "such as tcp/192.0.2.7:7447"),
+        ("tcp/edge", "such as"),
+        ("tcp/edge:0", "such as"),
+        ("tcp/edge:65536", "such as"),
+        ("tcp/edge:\u0667", "such as"),
+        ("tcp/::1:7447", "such as"),
+        ("udp/edge:7447", "(protocols: tcp, tls)"),
+        ("http://edge:7447", "such as"),
+        ("tcp/edge:7447\n", "such as"),
+        ("tcp/edge:7447#iface=eth0", "such as"),
+        ("", "such as"),
+    ],
+)
+def test_what_is_no_endpoint_is_told_with_one_that_is(endpoint, says):
+    """Before a session is opened, in one line."""
+    with pytest.raises(LinkError) as caught:
+        ZenohLink("d", ("tcp/127.0.0.1:7447", endpoint), CLOCK)
+    assert str(caught.value).startswith(f"endpoint {endpoint!r} is not PROTOCOL/HOST:PORT")
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_link_to_nowhere_is_refused():
+    """An empty list of endpoints would wait for ever."""
+    with pytest.raises(LinkError, match="no endpoint to connect to"):
+        ZenohLink("d", (), CLOCK)
