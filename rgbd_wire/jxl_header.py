@@ -3,7 +3,7 @@
 JPEG XL can do far more than a depth picture needs: hidden layers, animations, patches. A layer of
 1 kB costs the decoder a fifth of a second on the largest picture, so 50 kB can hold a worker for
 ten seconds. Here the bits up to "this frame is the last" are read, and all but one plain 16-bit
-grey picture in one lossless frame is refused (ISO/IEC 18181-1, image and frame header).
+grey picture in one modular frame is refused (ISO/IEC 18181-1, image and frame header).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _IMAGE_FIELDS: tuple[tuple[str, int, tuple[int, ...] | None], ...] = (
     ("colour_space", 2, (1,)),  # grey
     ("white_point", 2, (1,)),  # D65
     ("have_gamma", 1, (0,)),
-    ("transfer_function", 6, tuple(n << 2 | 2 for n in range(16))),
+    ("transfer_function", 6, tuple(n << 2 | 2 for n in range(16))),  # any of 2 to 17
     ("rendering_intent", 2, (0, 1)),
     ("extensions", 2, (0,)),
     ("default_m", 1, (1,)),

@@ -118,9 +118,10 @@ def test_small_rotation_vectors_survive(angle_rad):
 
 @given(quaternions, quaternions)
 def test_quaternion_product(p, q):
-    """The product is the composition of rotations."""
+    """The product is the composition of rotations, and rounding does not add up in its length."""
     expected = (scipy_of(p) * scipy_of(q)).as_quat(scalar_first=True)
     assert_same_rotation(quaternion_product(p, q), expected)
+    assert np.linalg.norm(quaternion_product(1.0005 * p, q)) == pytest.approx(1, abs=1e-12)
 
 
 @given(quaternions, quaternions, fractions)
