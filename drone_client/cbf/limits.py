@@ -28,6 +28,5 @@ def alpha(p_target: Vec3, settings: FilterSettings) -> float:
     """
     s = (norm(p_target) - settings.near_m) / (settings.far_m - settings.near_m)
     s = min(max(s, 0.0), 1.0)
-    return settings.alpha_near + (settings.alpha_far - settings.alpha_near) * s * s * (
-        3.0 - 2.0 * s
-    )
+    blend = s * s * (3.0 - 2.0 * s)
+    return settings.alpha_near + (settings.alpha_far - settings.alpha_near) * blend

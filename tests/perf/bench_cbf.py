@@ -2,8 +2,9 @@
 
     python tests/perf/bench_cbf.py
 
-The rounds alternate between the contenders, so that a slow moment of the machine hits all of them;
-the ratio is taken per round, and its spread is printed.
+The rounds alternate between the contenders, so that a slow moment of the machine hits all of them.
+Median and p99 are wall time per call; the ratio is of the mean processor time per call, round by
+round, so that what else the machine does is not in it, and its spread is printed.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cvxpy as cp
 import numpy as np
@@ -73,14 +75,23 @@ def cvxpy_parametrised() -> Callable[[Case], None]:
     return run
 
 
-def round_us(run: Callable[[Case], object], cases: list[Case]) -> list[float]:
-    """Time of each call [us], the reading of the clock (under 0.1 us) included."""
-    times = []
+class Round(NamedTuple):
+    """One contender's calls, one after another."""
+
+    wall_us: list[float]
+    """Of each call, the reading of the clock (under 0.1 us) included."""
+    cpu_us: float
+    """Mean of the calls."""
+
+
+def measure(run: Callable[[Case], object], cases: list[Case]) -> Round:
+    """Run every case once."""
+    wall_us, cpu_ns = [], time.process_time_ns()
     for case in cases:
         start = time.perf_counter_ns()
         run(case)
-        times.append((time.perf_counter_ns() - start) / 1e3)
-    return times
+        wall_us.append((time.perf_counter_ns() - start) / 1e3)
+    return Round(wall_us, (time.process_time_ns() - cpu_ns) / 1e3 / len(cases))
 
 
 def main() -> None:
@@ -96,20 +107,20 @@ def main() -> None:
     }
     cases = {name: random_cases(n) for name, (_, n) in contenders.items()}
     for name, (run, _) in contenders.items():
-        round_us(run, cases[name])  # warm up
+        measure(run, cases[name])  # warm up
 
-    times: dict[str, list[list[float]]] = {name: [] for name in contenders}
+    rounds: dict[str, list[Round]] = {name: [] for name in contenders}
     for _ in range(arguments.rounds):
         for name, (run, _) in contenders.items():
-            times[name].append(round_us(run, cases[name]))
+            rounds[name].append(measure(run, cases[name]))
 
-    first = [statistics.median(r) for r in times[next(iter(contenders))]]
+    first = [r.cpu_us for r in rounds[next(iter(contenders))]]
     print(f"{'':30} {'median us':>10} {'p99 us':>10}   ratio to the first (min - max of rounds)")
-    for name, rounds in times.items():
-        every = np.concatenate([np.array(r) for r in rounds])
-        ratios = [a / statistics.median(r) for a, r in zip(first, rounds, strict=True)]
+    for name, of_name in rounds.items():
+        wall_us = np.concatenate([np.array(r.wall_us) for r in of_name])
+        ratios = [a / r.cpu_us for a, r in zip(first, of_name, strict=True)]
         print(
-            f"{name:30} {np.median(every):10.2f} {np.percentile(every, 99):10.2f}   "
+            f"{name:30} {np.median(wall_us):10.2f} {np.percentile(wall_us, 99):10.2f}   "
             f"{statistics.median(ratios):.0f} x ({min(ratios):.0f} - {max(ratios):.0f})"
         )
 

@@ -18,9 +18,12 @@ from drone_client.cbf import (
     SafeCommand,
     Status,
     Variant,
+    build,
     closing_limit_mps,
     error_ball_m,
     filter_command,
+    paper_funnel,
+    solve,
 )
 
 SETTINGS = FilterSettings()
@@ -333,6 +336,42 @@ def test_a_hold_keeps_the_distance() -> None:
     command = filter_command(inp, SETTINGS)
     assert (command.status, command.freshness) == (Status.STALE, Freshness.HOLD)
     assert command.velocity_body_target == (0.0, 0.05, 0.0)
+
+
+def test_a_growing_ball_is_in_the_constraint() -> None:
+    """While knowledge ages, dh/dt counts the growth of delta, and u makes up for it."""
+    inp = change(
+        tip_target=(0.1, 0.01, 0.0),
+        velocity_tip_nominal_target=(0.0, 0.0, 0.0),
+        age_ns=400 * MS,
+        range_m=0.9,
+    )
+    command = filter_command(inp, SETTINGS)
+    funnel, delta, period = SETTINGS.funnel, command.delta_m, 1e-4
+    gradient = np.array(funnel.gradient(inp.tip_target, delta))
+    assert command.velocity_body_target[0] > 0
+    assert np.cross(gradient, command.velocity_body_target) == pytest.approx(np.zeros(3), abs=1e-12)
+    after = np.array(inp.tip_target) + period * tip_velocity(inp, command)
+    slope = (
+        funnel.h(tuple(after), delta + 0.01 * period) - funnel.h(inp.tip_target, delta)
+    ) / period
+    assert slope == pytest.approx(-1.2 * command.h_robust, abs=2e-3)
+
+
+def test_blind_the_way_back_is_slow() -> None:
+    """Far outside the funnel and past hold_ns, straight out at the retreat speed at most."""
+    command = filter_command(change(tip_target=(0.5, 1.0, 0.0), age_ns=800 * MS), SETTINGS)
+    assert (command.status, command.freshness) == (Status.STALE, Freshness.BRAKE)
+    assert command.velocity_body_target == (SETTINGS.retreat_mps, 0.0, 0.0)
+
+
+def test_an_unsafe_variant_flies_as_the_paper_has_it() -> None:
+    """Its half-space and the limits, without the error ball and the next-step check."""
+    printed = FilterSettings(variant=Variant.PAPER, allow_unsafe_variant=True)
+    p, wish = (0.1, 0.0005, 0.0), (-0.1, 0.2, 0.0)
+    inp = change(tip_target=p, velocity_tip_nominal_target=wish)
+    expected = solve(wish, build(paper_funnel(), p, 0.0, 0.0, 1.2), 0.4).u
+    assert filter_command(inp, printed).velocity_body_target == pytest.approx(expected, abs=1e-12)
 
 
 def test_grounded_settings_do_not_move() -> None:
