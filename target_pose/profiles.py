@@ -57,7 +57,10 @@ def gray_values(image: NDArray[np.uint8], uv: Array) -> Array:
 
 
 def slopes(profiles: Array) -> Array:
-    """Smoothed derivative (N, M - 8) of profiles (N, M), per step; one NaN makes a row NaN."""
+    """Smoothed derivative (N, M - 8) of profiles (N, M), per step.
+
+    One NaN makes the whole profile NaN.
+    """
     return np.asarray(profiles @ _derivative_matrix(profiles.shape[1]))
 
 

@@ -31,6 +31,8 @@ RAYS = 72
 SAMPLES = 32
 MIN_SLOPE = 1.0
 """Mean slope across the edges, in grey values per sample, that counts as an edge."""
+OUTERMOST = 1.5
+"""End of the search in half sides; a corner is at 1.41."""
 MIN_LEAD = 1.25
 """By how much the best roll must beat those that are far from it."""
 MAX_TURN = math.radians(40.0)
@@ -115,16 +117,17 @@ def _edge_turn(
     if 2 * half * px_per_m < MIN_BOARD_PX:
         return None
     inner = 0.5 * (half + target.discs[0].diameter_m / 2)
-    radii = np.linspace(inner, 1.5 * half, SAMPLES)
+    radii = np.linspace(inner, OUTERMOST * half, SAMPLES)
     right, up = axes
     rim = np.cos(_ANGLES)[:, None] * up + np.sin(_ANGLES)[:, None] * right
     points = board.center + radii[None, :, None] * rim[:, None, :]
     uv = project(points.reshape(-1, 3), intrinsics).reshape(RAYS, SAMPLES, 2)
-    slope = slopes(gray_values(image, uv))
-    seen = np.asarray(np.isfinite(slope).all(axis=1))
-    if np.count_nonzero(seen) < 0.7 * RAYS:
-        return None
-    slope = np.where(seen[:, None], slope, 0.0)
+    height, width = image.shape
+    last = (width - 1, height - 1)
+    slope = slopes(gray_values(image, np.clip(uv, 0, last)))
+    # a slope counts if its outermost sample is still in the picture; false for NaN, too
+    seen = ((uv >= 0) & (uv <= last)).all(axis=2)[:, SAMPLES - slope.shape[1] :]
+    slope = np.where(seen, slope, 0.0)
     first = (SAMPLES - slope.shape[1]) // 2
     step = float(radii[1] - radii[0])
     crossing = half / np.cos(_OFF_NORMAL)
@@ -138,12 +141,11 @@ def _edge_turn(
     rival = float(score[away > math.radians(12)].max())
     if score[best] < MIN_SLOPE or score[best] < MIN_LEAD * rival:
         return None
-    return _refined(slope, seen, best, sides[best], radii[first], step, half)
+    return _refined(slope, best, sides[best], radii[first], step, half)
 
 
 def _refined(
     slope: Array,
-    seen: NDArray[np.bool_],
     best: int,
     sides: Array,
     first_radius: float,
@@ -158,7 +160,7 @@ def _refined(
     window = np.where(np.abs(offset) < 5 * step, slope * signs[:, None], 0.0)
     edges = strongest_edges(window)
     reach = (edges.at - (SAMPLES - slope.shape[1]) // 2) * step + first_radius
-    known = np.isfinite(reach) & seen
+    known = np.isfinite(reach)
     if np.count_nonzero(known) < RAYS / 3:
         return None
     # the distance of each crossing from its side's line, against turn and a common margin

@@ -1,4 +1,4 @@
-"""A small renderer of the target that shares no code with the localiser: supersampled ray casting."""
+"""A small renderer of the target, by supersampling; shares no code with the localiser."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ def true_box(target: Target, pose: Pose, intrinsics: CameraIntrinsics, side_m: f
 
 
 def seen_pixels(points, intrinsics: CameraIntrinsics):
-    """Pixels (N, 2) of points (N, 3) by OpenCV, or by bisection for the inverse model."""
+    """Pixels (N, 2) of points (N, 3) by OpenCV, or for the inverse model by fixed-point steps."""
     k, c = intrinsics.image_from_camera, np.array(intrinsics.coefficients)
     if intrinsics.model == "brown_conrady":
         return cv2.projectPoints(points.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), k, c)[0][:, 0]
     xy = points[:, :2] / points[:, 2:]
     if intrinsics.model == "inverse_brown_conrady":
         seen = xy.copy()
-        for _ in range(100):
+        for _ in range(30):
             seen += xy - _polynomial(seen, c)
         xy = seen
     return xy * [k[0, 0], k[1, 1]] + [k[0, 2], k[1, 2]]
