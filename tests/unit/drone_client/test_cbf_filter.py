@@ -341,10 +341,9 @@ def test_a_hold_keeps_the_distance() -> None:
 def test_a_growing_ball_is_in_the_constraint() -> None:
     """While knowledge ages, dh/dt counts the growth of delta, and u makes up for it."""
     inp = change(
-        tip_target=(0.1, 0.01, 0.0),
+        tip_target=(0.45, 0.07, 0.0),
         velocity_tip_nominal_target=(0.0, 0.0, 0.0),
         age_ns=400 * MS,
-        range_m=0.9,
     )
     command = filter_command(inp, SETTINGS)
     funnel, delta, period = SETTINGS.funnel, command.delta_m, 1e-4
