@@ -59,17 +59,26 @@ async def _serve(settings: EdgeSettings) -> int:
 
 
 def _bring_up(settings: EdgeSettings, state: ServiceState) -> EdgeService:
-    clock = MonotonicClock()
-    pipeline = make_pipeline(settings, clock)
+    # The link first: a port that is taken is told before seconds are spent on the model. Drones
+    # come only when the token is announced.
+    transport = make_transport(settings)
+    transport.open()
+    state.transport = transport
+    joined = ", ".join(settings.connect_endpoints)
+    _say(f"zenoh  joins {joined}" if joined else f"zenoh  {', '.join(settings.listen_endpoints)}")
+    try:
+        clock = MonotonicClock()
+        pipeline = make_pipeline(settings, clock)
+    except BaseException:
+        transport.close()
+        raise
     detector = pipeline.detector.describe()
     _say(
         f"model  {detector['name']} {pipeline.detector.model_hash[:12]}, "
         f"{detector['precision']}, {detector['threads']} threads"
     )
-    service = EdgeService(settings, pipeline, make_transport(settings), state, clock)
+    service = EdgeService(settings, pipeline, transport, state, clock)
     service.start()
-    joined = ", ".join(settings.connect_endpoints)
-    _say(f"zenoh  joins {joined}" if joined else f"zenoh  {', '.join(settings.listen_endpoints)}")
     return service
 
 

@@ -1,7 +1,7 @@
 """The frame path as a whole: brings its parts up in order, and down again without losing a frame.
 
-Up: link open -> worker -> token announced. Down: token withdrawn -> new frames are told DRAINING,
-those that wait are answered -> link closed.
+Up: frames taken -> worker -> token announced. Down: token withdrawn -> new frames are told
+DRAINING, those that wait are answered -> link closed.
 """
 
 from __future__ import annotations
@@ -49,13 +49,8 @@ class EdgeService:
         state.pipeline = pipeline
 
     def start(self) -> None:
-        """Open the link, serve, and say so.
-
-        Raises:
-            AddressError: the link's address cannot be used.
-        """
+        """Serve on the open link, and say so."""
         self._transport.start(self._intake.on_frame)
-        self._state.transport = self._transport
         self._worker.start()
         self._state.worker = self._worker
         self._transport.announce()

@@ -19,12 +19,16 @@ class Transport(Protocol):
         """Frames can come in: the listeners stand, or the router is connected."""
         ...
 
-    def start(self, on_frame: OnFrame) -> None:
-        """Open the link and hand over every message that arrives.
+    def open(self) -> None:
+        """Open the link.
 
         Raises:
             AddressError: an address cannot be used; says which one and why.
         """
+        ...
+
+    def start(self, on_frame: OnFrame) -> None:
+        """Hand over every message that arrives on the open link."""
         ...
 
     def announce(self) -> None:

@@ -13,24 +13,25 @@ class MemoryTransport:
     """Keeps what was sent, in order, as it would arrive at the drones."""
 
     def __init__(self) -> None:
+        self.is_open = False
         self.announced = False
         self.sent: list[tuple[str, Ack | Result]] = []
         """Drone and message."""
         self._on_frame: OnFrame | None = None
         self._changed = threading.Condition()
 
-    @property
-    def is_open(self) -> bool:
-        """Between ``start`` and ``close``."""
-        return self._on_frame is not None
+    def open(self) -> None:
+        """Open it."""
+        self.is_open = True
 
     def start(self, on_frame: OnFrame) -> None:
-        """Open it."""
+        """Hand over what ``deliver`` is given."""
         self._on_frame = on_frame
 
     def deliver(self, data: bytes | memoryview, t2_ns: int) -> None:
         """Hand over one message, as if it had come in at ``t2_ns``."""
-        assert self._on_frame is not None, "deliver after start and before close"
+        assert self.is_open, "deliver before close"
+        assert self._on_frame is not None, "deliver after start"
         self._on_frame(data, t2_ns)
 
     def announce(self) -> None:
@@ -54,7 +55,7 @@ class MemoryTransport:
 
     def close(self) -> None:
         """Close it."""
-        self._on_frame = None
+        self.is_open = False
 
     def acks(self) -> list[Ack]:
         """All acks so far."""

@@ -103,13 +103,17 @@ class ZenohTransport:
             return False
         return bool(self._address.listen or session.info.routers_zid())
 
-    def start(self, on_frame: OnFrame) -> None:
-        """Open the session and subscribe to this worker's frames.
+    def open(self) -> None:
+        """Open the session.
 
         Raises:
             AddressError: an endpoint cannot be listened on or is none.
         """
         self._session = self._address.session()
+
+    def start(self, on_frame: OnFrame) -> None:
+        """Subscribe to this worker's frames."""
+        assert self._session is not None, "open before start"
 
         def hand_over(sample: zenoh.Sample) -> None:
             t2_ns = time.monotonic_ns()

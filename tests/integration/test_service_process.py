@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -12,45 +13,57 @@ from pathlib import Path
 
 import httpx
 import imagecodecs
+import numpy as np
 import pytest
 
 from edge_service.cli import main
-from edge_service.detector.net import NetConfig, TargetNet
-from edge_service.detector.weights import save_weights
+from rgbd_wire.camera import load_camera
+from rgbd_wire.frame import RgbdFrame
+from rgbd_wire.frame_codec import FrameStamp, compress, pack
+from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import Outcome
 from rgbd_wire.streams import worker_key
-from target_pose.target import Level
 from tests.integration.zenoh_drone import flying, free_port
-from tests.unit.edge_service.edge_fakes import CAMERA_JSON, COLOR, SECOND_NS, message
+from tests.unit.edge_service.edge_fakes import SECOND_NS, message
 
+RECORDING = Path(__file__).parents[2] / "examples" / "recordings" / "rendered-approach"
+FRAMES_WITH_TARGET = (20, 30, 44)
+FRAME_WITHOUT_TARGET = 0
 COMMAND = [sys.executable, "-c", "from edge_service.cli import main; main()", "serve"]
 TIMEOUT_S = 60
-BUDGET_NS = 60 * SECOND_NS
-WORKED_ON = {Outcome.NOTHING_FOUND, Outcome.NOT_A_TARGET, Outcome.REFUSED, Outcome.TARGET}
 
 
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    """A net that has learnt nothing: what it finds is not the subject here."""
-    path = tmp_path_factory.mktemp("weights") / "untrained.safetensors"
-    save_weights(path, TargetNet(NetConfig(tuple(level.value for level in Level), 4)), "none")
-    return path
+def recorded(index):
+    """One frame of the recording that ships with the project, and its truth."""
+    stem = (RECORDING / "rgb.txt").read_text().splitlines()[1 + index].split()[0]
+    color = imagecodecs.imread(RECORDING / "rgb" / f"{stem}.jpg")
+    depth = imagecodecs.imread(RECORDING / "depth" / f"{stem}.png")
+    pose = (RECORDING / "groundtruth.txt").read_text().splitlines()[1 + index].split()
+    x, y, z, qx, qy, qz, qw = map(float, pose[1:])
+    world_from_camera = Pose(np.array([x, y, z]), np.array([qw, qx, qy, qz]))
+    frame = RgbdFrame(color, depth, load_camera(RECORDING / "camera.json"), 0, world_from_camera)
+    return frame, json.loads((RECORDING / "truth.json").read_text())[index]
 
 
-def environment(**variables):
-    """This process's own, without its EDGE_ variables."""
+def sent(frame, sequence):
+    """The frame as a drone sends it."""
+    return pack(compress(frame), FrameStamp("d1", 7, sequence, 0, 60 * SECOND_NS))
+
+
+def environment():
+    """This process's own, with none but our EDGE_ variables."""
     own = {k: v for k, v in os.environ.items() if not k.startswith("EDGE_")}
-    return {**own, "EDGE_NAME": "w1", "EDGE_THREADS": "1", **variables}
+    return {**own, "EDGE_NAME": "w1", "EDGE_THREADS": "1"}
 
 
 class Served:
     """A service process and where to reach it."""
 
-    def __init__(self, weights: Path, **variables):
+    def __init__(self):
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.process = subprocess.Popen(
             [*COMMAND, "--listen", self.endpoint, "--http", "127.0.0.1:0"],
-            env=environment(EDGE_WEIGHTS=str(weights), **variables),
+            env=environment(),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -72,8 +85,8 @@ class Served:
 
 
 @contextmanager
-def served(weights, **variables):
-    service = Served(weights, **variables)
+def served():
+    service = Served()
     try:
         yield service
     finally:
@@ -82,35 +95,53 @@ def served(weights, **variables):
         service.process.communicate()
 
 
-def test_it_says_what_it_does_serves_and_drains(weights):
-    """Ready, frames and a picture served, then SIGTERM: token down, every ack answered, exit 0."""
-    with served(weights) as service, flying(service.endpoint) as drone:
+def test_it_finds_the_target_and_drains():
+    """The real thing: ready, true poses over the link and over HTTP, SIGTERM, nothing lost, 0."""
+    with served() as service, flying(service.endpoint) as drone:
         assert service.endpoint in "\n".join(service.lines)
         assert httpx.get(f"{service.url}/readyz").json()["ready"]
         drone.wait_for(lambda d: d.workers.get(worker_key("w1")))
-        drone.send(message(budget_ns=BUDGET_NS))
-        drone.wait_for(lambda d: len(d.results) == 1)
-        assert drone.results[0].outcome in WORKED_ON
+        for n, index in enumerate(FRAMES_WITH_TARGET):
+            frame, truth = recorded(index)
+            camera_from_target = np.array(truth["camera_from_target"])
+            drone.send(sent(frame, n))
+            drone.wait_for(lambda d, n=n: len(d.results) == n + 1)
+            assert drone.results[n].outcome is Outcome.TARGET
+            found = drone.results[n].target
+            np.testing.assert_allclose(
+                found.camera_from_target[:3], camera_from_target[:3, 3], atol=0.03
+            )
+            world = frame.world_from_camera @ Pose.from_matrix(camera_from_target)
+            np.testing.assert_allclose(found.world_from_target[:3], world.translation, atol=0.03)
         response = httpx.post(
             f"{service.url}/v1/localize",
-            files={"color": imagecodecs.png_encode(COLOR), "camera": CAMERA_JSON.encode()},
+            files={
+                "color": imagecodecs.png_encode(frame.color_rgb),
+                "depth": imagecodecs.png_encode(frame.depth_units),
+                "camera": (RECORDING / "camera.json").read_bytes(),
+            },
             timeout=TIMEOUT_S,
         )
-        assert response.status_code == 200
-        for sequence in range(1, 21):
-            drone.send(message(sequence=sequence, budget_ns=BUDGET_NS))
+        position_m = response.json()["target"]["camera_from_target"]["translation_m"]
+        np.testing.assert_allclose(position_m, camera_from_target[:3, 3], atol=0.03)
+        frame, truth = recorded(FRAME_WITHOUT_TARGET)
+        assert truth["visible"] == 0
+        drone.send(sent(frame, 10))
+        drone.wait_for(lambda d: d.results[-1].sequence == 10)
+        assert drone.results[-1].outcome in {Outcome.NOTHING_FOUND, Outcome.NOT_A_TARGET}
+        for sequence in range(11, 31):
+            drone.send(message(sequence=sequence, budget_ns=60 * SECOND_NS))
         service.process.send_signal(signal.SIGTERM)
         code, out, err = service.end()
         assert (code, out[-1], err) == (0, "bye", "")
         drone.wait_for(lambda d: d.workers[worker_key("w1")] is False)
         assert sorted(r.sequence for r in drone.results) == sorted(drone.acks)
-        turned_away = {Outcome.SUPERSEDED, Outcome.DRAINING}
-        assert {r.outcome for r in drone.results} <= WORKED_ON | turned_away
+        assert Outcome.FAILED not in {r.outcome for r in drone.results}
 
 
-def test_a_second_signal_forces_the_end(weights):
+def test_a_second_signal_forces_the_end():
     """Whoever presses Ctrl-C twice does not want to wait for the drain."""
-    with served(weights) as service:
+    with served() as service:
         service.process.send_signal(signal.SIGINT)
         for line in service.process.stdout:
             if line.startswith("drain"):
@@ -141,16 +172,16 @@ def failing(monkeypatch, capsys):
     return run
 
 
-def test_taken_ports_are_one_line(failing, weights):
+def test_taken_ports_are_one_line(failing):
     """Which address, that it is taken, and which flag gives another one; exit code 2."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        line = failing("--weights", str(weights), "--http", f"127.0.0.1:{port}")
+        line = failing("--http", f"127.0.0.1:{port}")
         assert f"HTTP on 127.0.0.1:{port}: Address already in use; " in line
         assert "--http or EDGE_HTTP" in line
-        line = failing("--weights", str(weights), "--listen", f"tcp/127.0.0.1:{port}")
+        line = failing("--listen", f"tcp/127.0.0.1:{port}")
         assert f"Zenoh on tcp/127.0.0.1:{port}: Address already in use; " in line
         assert "--listen or EDGE_ZENOH_LISTEN" in line
 

@@ -6,6 +6,7 @@ import struct
 from contextlib import contextmanager
 
 import pytest
+import zenoh
 
 from edge_service.errors import AddressError
 from edge_service.mailbox import Mailbox
@@ -36,10 +37,12 @@ class Running:
         self.endpoint = endpoint
         made = settings(**fields)
         mailbox = Mailbox(made.max_drones, int(made.drone_idle_s * 1e9))
-        self.state = ServiceState(made, Metrics(), mailbox)
+        transport = ZenohTransport("w1", address)
+        transport.open()
+        self.state = ServiceState(made, Metrics(), mailbox, transport=transport)
         clock = MonotonicClock()
         stages = pipeline(detector, clock)
-        self.service = EdgeService(made, stages, ZenohTransport("w1", address), self.state, clock)
+        self.service = EdgeService(made, stages, transport, self.state, clock)
         self.service.start()
 
     def count(self, name, **labels):
@@ -161,7 +164,7 @@ def test_no_answer_is_lost_in_a_burst():
 
 
 def test_two_drones_are_served_apart():
-    """Each drone gets its own results and nobody else's."""
+    """Each drone gets its own results and nobody else's, before everything and never late."""
     with (
         running() as service,
         flying(service.endpoint, "d1") as first,
@@ -171,6 +174,8 @@ def test_two_drones_are_served_apart():
         second.send(frame(9, drone="d2"))
         first.wait_for(settled(0))
         second.wait_for(settled(9))
+        urgent = (str(zenoh.Priority.REAL_TIME), True, str(zenoh.CongestionControl.DROP))
+        assert first.urgency == {urgent}
         assert {m.drone for m in first.received} == {"d1"}
         assert {m.drone for m in second.received} == {"d2"}
 
@@ -192,7 +197,7 @@ def test_it_joins_an_outside_router_that_comes_later():
 def test_a_taken_port_is_one_line():
     """The line says which address, what is wrong and what to do."""
     with running() as service, pytest.raises(AddressError) as error:
-        ZenohTransport("w2", ZenohAddress(listen=(service.endpoint,))).start(lambda *_: None)
+        ZenohTransport("w2", ZenohAddress(listen=(service.endpoint,))).open()
     line = str(error.value)
     assert line.startswith(f"Zenoh on {service.endpoint}: Address already in use")
     assert "--listen or EDGE_ZENOH_LISTEN" in line
@@ -211,7 +216,7 @@ def test_a_taken_port_is_one_line():
 def test_an_impossible_address_is_one_line(endpoint, words):
     """Whatever Zenoh says of it, without the places in its own source."""
     with pytest.raises(AddressError) as error:
-        ZenohTransport("w1", ZenohAddress(listen=(endpoint,))).start(lambda *_: None)
+        ZenohTransport("w1", ZenohAddress(listen=(endpoint,))).open()
     line = str(error.value)
     assert words in line
     assert ".rs" not in line
@@ -222,7 +227,7 @@ def test_closed_it_sends_no_more():
     """A send after the end says that nothing was sent, and closing twice is fine."""
     transport = ZenohTransport("w1", ZenohAddress(listen=(f"tcp/127.0.0.1:{free_port()}",)))
     assert not transport.send("d1", b"too early")
-    transport.start(lambda *_: None)
+    transport.open()
     assert transport.is_open
     assert transport.send("d1", b"nobody hears it")
     transport.close()

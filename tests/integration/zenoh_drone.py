@@ -44,6 +44,8 @@ class Drone:
 
     def __init__(self, session, name, worker):
         self.received = []
+        self.urgency = set()
+        """Priority, express and congestion control of what came."""
         self.workers = {}
         self._changed = threading.Condition()
         session.declare_subscriber(RESULT.key(name, "*"), self._on_answer)
@@ -78,7 +80,9 @@ class Drone:
     def _on_answer(self, sample):
         kind, body = unseal(sample.payload.to_bytes(), Kind.ACK, Kind.RESULT)
         message = decode_ack(body) if kind is Kind.ACK else decode_result(body)
+        urgency = str(sample.priority), sample.express, str(sample.congestion_control)
         with self._changed:
+            self.urgency.add(urgency)
             self.received.append(message)
             self._changed.notify_all()
 

@@ -146,8 +146,9 @@ class Bench:
         self.settings = settings(**fields)
         self.clock = ManualClock(10 * SECOND_NS)
         self.transport = MemoryTransport()
+        self.transport.open()
         mailbox = Mailbox(self.settings.max_drones, int(self.settings.drone_idle_s * 1e9))
-        self.state = ServiceState(self.settings, Metrics(), mailbox)
+        self.state = ServiceState(self.settings, Metrics(), mailbox, transport=self.transport)
         self.pipeline = replace(pipeline(detector), clock=self.clock)
         self.service = EdgeService(
             self.settings, self.pipeline, self.transport, self.state, self.clock

@@ -239,6 +239,7 @@ def test_health_follows_the_state():
     """Alive while the loop goes round; ready only while everything stands, and it says what not."""
     bench = Bench(heartbeat_s=1)
     pipeline, bench.state.pipeline = bench.state.pipeline, None
+    transport, bench.state.transport = bench.state.transport, None
     with serving(bench) as client:
         assert client.get("/livez").json() == {"alive": True, "silent_s": None}
         response = client.get("/readyz")
@@ -253,7 +254,7 @@ def test_health_follows_the_state():
             method = "GET" if path.endswith("model") else "POST"
             response = client.request(method, path)
             assert (response.status_code, response.headers["retry-after"]) == (503, "1")
-        bench.state.pipeline = pipeline
+        bench.state.pipeline, bench.state.transport = pipeline, transport
         bench.service.start()
         assert client.get("/readyz").json()["ready"]
         bench.drain()

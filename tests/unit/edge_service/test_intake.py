@@ -86,6 +86,28 @@ def test_the_ack_comes_first_and_names_this_start_of_the_worker():
     assert other.transport.acks()[0].worker_boot_id != ack.worker_boot_id
 
 
+def test_a_frame_cannot_be_taken_before_its_ack_is_sent():
+    """A result must never overtake its ack, however fast the worker is."""
+    detector = HeldDetector()
+    bench = Bench(detector)
+    waiting_at_ack = []
+    send = bench.transport.send
+
+    def spy(drone, payload):
+        waiting_at_ack.append(bench.state.mailbox.waiting)
+        return send(drone, payload)
+
+    bench.transport.send = spy
+    bench.service.start()
+    bench.deliver(message(sequence=0))
+    assert detector.entered.acquire(timeout=20)  # the worker is busy: what is put would wait
+    bench.deliver(message(sequence=1))
+    assert waiting_at_ack == [0, 0]
+    assert bench.state.mailbox.waiting == 1
+    detector.go.release(2)
+    bench.drain()
+
+
 def test_a_repeated_frame_is_counted_and_not_answered_again():
     """The same frame twice gets one ack and one result."""
     bench = Bench()

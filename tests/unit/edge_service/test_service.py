@@ -28,12 +28,13 @@ def test_ready_only_when_all_of_it_stands():
     """Readiness names what is missing, from the first moment to the last."""
     bench = Bench()
     bench.state.pipeline, pipeline = None, bench.state.pipeline
+    bench.state.transport, transport = None, bench.state.transport
     assert bench.state.readiness() == {
         "model_warm": False,
         "link_open": False,
         "not_draining": True,
     }
-    bench.state.pipeline = pipeline
+    bench.state.pipeline, bench.state.transport = pipeline, transport
     assert not bench.transport.announced
     bench.service.start()
     assert bench.transport.announced
