@@ -65,7 +65,9 @@ class Drone:
     def wait_for(self, condition):
         """Wait until ``condition(self)`` holds."""
         with self._changed:
-            assert self._changed.wait_for(lambda: condition(self), TIMEOUT_S), self.received
+            met = self._changed.wait_for(lambda: condition(self), TIMEOUT_S)
+        told = [(r.sequence, r.outcome.value) for r in self.results]
+        assert met, f"acks {self.acks}, results {told}, workers {self.workers}"
 
     @property
     def acks(self):
