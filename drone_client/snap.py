@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,6 +12,8 @@ from drone_client.errors import LinkError, SourceError
 from rgbd_wire.camera import load_camera
 
 MAX_FILE_BYTES: Final = 32 * 1024 * 1024
+MAX_ANSWER_BYTES: Final = 1024 * 1024
+MAX_DETAIL_CHARACTERS: Final = 500
 
 
 def snap(
@@ -28,22 +31,41 @@ def snap(
     if depth is not None:
         files["depth"] = (depth.name, _read(depth))
     files["camera"] = (camera.name, _read(camera))
+    status, content = _post(url, files, timeout_s)
     try:
-        response = httpx.post(f"{url.rstrip('/')}/v1/localize", files=files, timeout=timeout_s)
-    except httpx.InvalidURL as error:
-        raise LinkError(f"address {url!r}: {error}; try http://127.0.0.1:8080") from None
-    except httpx.HTTPError as error:
-        raise LinkError(
-            f"no answer from {url}: {error or type(error).__name__}; is edge-service running there?"
-        ) from None
-    try:
-        body = response.json()
-    except ValueError:
-        raise LinkError(f"{url} answered {response.status_code}, but no JSON") from None
-    if response.status_code != httpx.codes.OK or not isinstance(body, dict):
-        detail = body.get("detail", body) if isinstance(body, dict) else body
-        raise SourceError(f"{url} refused ({response.status_code}): {detail}")
+        body = json.loads(content)
+    except (ValueError, RecursionError):
+        raise LinkError(f"{url} answered {status}, but no JSON: is it edge-service?") from None
+    if status != httpx.codes.OK or not isinstance(body, dict):
+        raise SourceError(f"{url} refused ({status}): {_said(body)}")
     return body
+
+
+def _post(url: str, files: dict[str, tuple[str, bytes]], timeout_s: float) -> tuple[int, bytes]:
+    """Status and body of the service's answer, which is short."""
+    content = b""
+    try:
+        with httpx.stream(
+            "POST", f"{url.rstrip('/')}/v1/localize", files=files, timeout=timeout_s
+        ) as response:
+            for chunk in response.iter_bytes(65_536):
+                content += chunk
+                if len(content) > MAX_ANSWER_BYTES:
+                    raise LinkError(
+                        f"{url} answered over {MAX_ANSWER_BYTES} bytes: no edge-service"
+                    )
+    except (httpx.InvalidURL, httpx.UnsupportedProtocol):
+        raise LinkError(f"address {url!r} is none, try http://127.0.0.1:8080") from None
+    except httpx.HTTPError as error:
+        reason = str(error) or type(error).__name__
+        raise LinkError(f"no answer from {url}: {reason}; is edge-service running there?") from None
+    return response.status_code, content
+
+
+def _said(body: object) -> str:
+    """What the service says is wrong, or all that it said."""
+    detail = body.get("detail", body) if isinstance(body, dict) else body
+    return str(detail)[:MAX_DETAIL_CHARACTERS]
 
 
 def _read(path: Path) -> bytes:
