@@ -263,7 +263,6 @@ def _pictures(
     if recording is None:
         return [compress(_noise_frame(), jpeg_quality)]
     source = open_recording(recording, camera)
-    step = max(1, len(source) // MAX_PICTURES)
     return [
         compress(
             RgbdFrame(
@@ -275,8 +274,7 @@ def _pictures(
             ),
             jpeg_quality,
         )
-        for i, capture in enumerate(source.captures())
-        if i % step == 0
+        for capture in source.some_captures(MAX_PICTURES)
     ]
 
 

@@ -64,6 +64,11 @@ class ReplaySource:
         """The captures, oldest first."""
         return map(self._load, self._pairs)
 
+    def some_captures(self, at_most: int) -> Iterator[Capture]:
+        """So many of the captures, spread evenly; the others are not even read."""
+        step = max(1, -(-len(self._pairs) // at_most))
+        return map(self._load, self._pairs[::step])
+
     def world_from_camera(self, t_source_ns: int) -> Pose | None:
         """Interpolated ground truth; None outside it."""
         return self._trajectory.at(t_source_ns)
