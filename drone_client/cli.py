@@ -200,7 +200,8 @@ def _print_summary(summary: dict[str, Any], options: ReplayOptions) -> None:
         "d1 + d2 [ms]": f"{times('network_delay_ms')}  (tau_max {summary['tau_max_ms']:g})",
         "age [ms]": f"{times('age_ms')}  (age_max {summary['age_max_ms']:g})",
         "service [ms]": times("service_ms"),
-        "control ticks": f"{summary['ticks']}: {counts('statuses')}",
+        "control ticks": f"{summary['ticks']}: {counts('known')}",
+        "filter": counts("statuses"),
         "knowledge": counts("freshness"),
     }
     if (t := summary.get("truth")) is not None:

@@ -29,6 +29,9 @@ class Verdict(StrEnum):
     """Not the worker, or not the same start of it, that acknowledged the frame."""
     IMPOSSIBLE_TIME = "impossible_time"
     """The worker's t3 - t2 is negative or longer than the whole round trip."""
+    NOT_LOOKED_AT = "not_looked_at"
+    """The worker never saw the picture (superseded, draining, ...): nothing to accept. Such an
+    answer comes at once, and must not make the one before it, still at work, out of order."""
     NETWORK_DELAY = "network_delay"
     """d1 + d2 > tau_max: the paper's condition."""
     TOO_OLD = "too_old"
@@ -127,6 +130,8 @@ def judge(
     sent: SentFrame | None,
     last_accepted_capture_ns: int | None,
     settings: GateSettings,
+    *,
+    looked_at: bool = True,
 ) -> Judgement:
     """Judge one result.
 
@@ -135,22 +140,19 @@ def judge(
         sent: what was sent under its sequence; None: nothing was.
         last_accepted_capture_ns: t_capture of the newest accepted result, drone's clock.
         settings: tau_max and age_max.
+        looked_at: the worker has seen the picture, whatever it found.
     """
     if sent is None:
         return Judgement(Verdict.NEVER_SENT)
-    if sent.answered:
-        return Judgement(Verdict.DUPLICATE)
-    if (stamps.t_capture_ns, stamps.t1_ns) != (sent.t_capture_ns, sent.t1_ns):
-        return Judgement(Verdict.ECHO_MISMATCH)
-    if sent.acknowledged_by is None:
-        return Judgement(Verdict.NOT_ACKNOWLEDGED)
-    if (stamps.worker, stamps.worker_boot_id) != (sent.worker, sent.acknowledged_by):
-        return Judgement(Verdict.WRONG_WORKER)
+    if (foreign := _foreign(stamps, sent)) is not None:
+        return Judgement(foreign)
 
     age_ns = stamps.t4_ns - sent.t_capture_ns
     if not 0 <= stamps.t3_ns - stamps.t2_ns <= stamps.t4_ns - stamps.t1_ns:
         return Judgement(Verdict.IMPOSSIBLE_TIME, age_ns=age_ns)
     delay_ns = network_delay_ns(stamps)
+    if not looked_at:
+        return Judgement(Verdict.NOT_LOOKED_AT, delay_ns, age_ns)
     if delay_ns > settings.tau_max_ns:
         return Judgement(Verdict.NETWORK_DELAY, delay_ns, age_ns)
     if age_ns > settings.age_max_ns:
@@ -158,3 +160,16 @@ def judge(
     if last_accepted_capture_ns is not None and sent.t_capture_ns <= last_accepted_capture_ns:
         return Judgement(Verdict.OUT_OF_ORDER, delay_ns, age_ns)
     return Judgement(Verdict.ACCEPTED, delay_ns, age_ns)
+
+
+def _foreign(stamps: ResultStamps, sent: SentFrame) -> Verdict | None:
+    """Why a result is not this frame's own answer; None: it is."""
+    if sent.answered:
+        return Verdict.DUPLICATE
+    if (stamps.t_capture_ns, stamps.t1_ns) != (sent.t_capture_ns, sent.t1_ns):
+        return Verdict.ECHO_MISMATCH
+    if sent.acknowledged_by is None:
+        return Verdict.NOT_ACKNOWLEDGED
+    if (stamps.worker, stamps.worker_boot_id) != (sent.worker, sent.acknowledged_by):
+        return Verdict.WRONG_WORKER
+    return None

@@ -40,6 +40,7 @@ from rgbd_wire.errors import WireError
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.frame_codec import CompressedFrame, FrameStamp, compress, pack
 from rgbd_wire.geometry import Pose
+from rgbd_wire.messages import Outcome
 
 MAX_PICTURES = 32
 """Of a recording; they repeat."""
@@ -165,7 +166,7 @@ def summarise_load(tallies: list[LoadTally], seconds: float) -> dict[str, Any]:
         return spread([v for t in tallies for v in getattr(t, name)])
 
     verdicts = counts("verdicts")
-    looked_at = [t.outcomes.total() - t.outcomes["superseded"] for t in tallies]
+    looked_at = [sum(n for o, n in t.outcomes.items() if Outcome(o).looked_at) for t in tallies]
     return {
         "drones": len(tallies),
         "seconds": round(seconds, 3),

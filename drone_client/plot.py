@@ -11,6 +11,7 @@ from drone_client.gate import Verdict
 PLOT_NAME = "run.png"
 _FATE_COLORS = {
     "superseded_on_board": "tab:gray",
+    Verdict.NOT_LOOKED_AT.value: "tab:pink",
     "send_failed": "tab:olive",
     "no_worker": "tab:purple",
     "no_reply": "tab:red",
@@ -39,12 +40,17 @@ def plot_run(
     FigureCanvasAgg(figure)
     delays, barrier, tip, commands = figure.subplots(4, 1, sharex=True)
 
+    ignored = Verdict.NOT_LOOKED_AT.value
     answered = [f for f in frames if f["fate"] == "answered" and f["age_ms"] is not None]
     for label, keep, marker in (
         ("accepted", True, "o"),
         ("refused by the gate", False, "x"),
     ):
-        chosen = [f for f in answered if (f["verdict"] == Verdict.ACCEPTED.value) is keep]
+        chosen = [
+            f
+            for f in answered
+            if f["verdict"] != ignored and (f["verdict"] == Verdict.ACCEPTED.value) is keep
+        ]
         times = [seconds(f["t_capture_ns"]) for f in chosen]
         delays.plot(
             times,
@@ -65,7 +71,9 @@ def plot_run(
     delays.axhline(tau_max_ms, color="tab:blue", ls="--", lw=1, label=r"$\tau_{max}$")
     delays.axhline(age_max_ms, color="tab:green", ls="--", lw=1, label=r"age$_{max}$")
     for fate, color in _FATE_COLORS.items():
-        times = [seconds(f["t_capture_ns"]) for f in frames if f["fate"] == fate]
+        times = [
+            seconds(f["t_capture_ns"]) for f in frames if fate in (f["fate"], f.get("verdict"))
+        ]
         if times:
             delays.plot(times, [0.0] * len(times), "|", color=color, ms=12, mew=2, label=fate)
     delays.set_ylabel("ms")

@@ -137,6 +137,7 @@ class Receiver:
                     t3_ns=result.t3_ns,
                     t4_ns=t4_ns,
                 ),
+                looked_at=result.outcome.looked_at,
             )
             done, world_from_target = None, None
             if judgement.accepted and result.target is not None:

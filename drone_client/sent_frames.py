@@ -44,10 +44,11 @@ class SentFrames:
             self._frames[sequence] = replace(sent, acknowledged_by=worker_boot_id)
         return True
 
-    def judge(self, sequence: int, stamps: ResultStamps) -> Judgement:
+    def judge(self, sequence: int, stamps: ResultStamps, *, looked_at: bool = True) -> Judgement:
         """Judge a result. The first one that is truly this frame's answer closes the frame."""
         sent = self._frames.get(sequence)
-        judgement = judge(stamps, sent, self._last_accepted_capture_ns, self._settings)
+        last_ns = self._last_accepted_capture_ns
+        judgement = judge(stamps, sent, last_ns, self._settings, looked_at=looked_at)
         if sent is not None and judgement.verdict.settles_frame:
             self._frames[sequence] = replace(sent, answered=True)
         if judgement.accepted:

@@ -93,13 +93,13 @@ def _stages(answered: Sequence[dict[str, Any]]) -> dict[str, dict[str, float] | 
 
 
 def _against_truth(frames: Sequence[dict[str, Any]], truth: Sequence[TruthEntry]) -> dict[str, Any]:
-    """Found where it is, not found where it is not, and how far off; over frames that were seen."""
+    """Found where it is, not found where it is not, and how far off; over frames looked at."""
     position_mm, normal_deg, fully, found, unseen, ghosts = [], [], 0, 0, 0, 0
     for frame in frames:
         if frame["fate"] != "answered" or frame["sequence"] >= len(truth):
             continue
-        if frame["outcome"] == Outcome.SUPERSEDED.value:
-            continue  # nobody looked at it
+        if not Outcome(frame["outcome"]).looked_at:
+            continue
         entry = truth[frame["sequence"]]
         is_found = frame["outcome"] == Outcome.TARGET.value
         fully += entry.visible >= FULLY_VISIBLE

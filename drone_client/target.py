@@ -29,7 +29,7 @@ is wrong: it starts again from the newest."""
 MAX_VARIANCE = 1e3
 """Sum of a measurement's six variances [m^2, rad^2] above which it says nothing; below it, the
 floors keep every matrix here positive definite, whatever the rounding does."""
-MIN_SIGMA_M = 0.002
+MIN_SIGMA_M = 0.001
 MIN_SIGMA_RAD = 0.005
 """Floor of a measurement's standard deviation: calibration errors do not average out."""
 DRIFT_MPS = 0.01

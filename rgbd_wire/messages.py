@@ -106,6 +106,16 @@ class Outcome(StrEnum):
     FAILED = "failed"
     """A fault of the worker's own; its log has the details."""
 
+    @property
+    def looked_at(self) -> bool:
+        """The detector saw the frame: the answer says something of the world."""
+        return self in _LOOKED_AT
+
+
+_LOOKED_AT = frozenset(
+    {Outcome.TARGET, Outcome.NOTHING_FOUND, Outcome.NOT_A_TARGET, Outcome.REFUSED}
+)
+
 
 class LevelBox(_Message, frozen=True):
     """One detected level of the target, pixels of the colour picture."""

@@ -169,6 +169,20 @@ def test_each_reason_is_told_by_its_name(stamps, sent, last_ns, verdict):
     assert judge(stamps, sent, last_ns, SETTINGS).verdict is verdict
 
 
+def test_an_answer_without_a_look_is_no_knowledge_and_puts_nothing_out_of_order():
+    """Superseded frame 8 is answered at once; frame 7, still at work then, is accepted after it."""
+    gate = SentFrames(SETTINGS)
+    later = replace(SENT, sequence=8, t_capture_ns=SENT.t_capture_ns + 33 * MS)
+    for sent in (SENT, later):
+        gate.add(sent)
+    superseded = replace(GOOD, t_capture_ns=later.t_capture_ns)
+    judgement = gate.judge(8, superseded, looked_at=False)
+    assert judgement.verdict is Verdict.NOT_LOOKED_AT
+    assert judgement.network_delay_ns == 40 * MS
+    assert gate.judge(7, GOOD).accepted
+    assert gate.judge(8, superseded).verdict is Verdict.DUPLICATE
+
+
 def test_both_bounds_are_inclusive():
     """Exactly tau_max and exactly age_max pass; one nanosecond more does not."""
     tight = GateSettings(250 * MS, 250 * MS)
