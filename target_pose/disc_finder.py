@@ -14,10 +14,10 @@ from target_pose.tukey import RobustFit, fit_robust
 Array: TypeAlias = NDArray[np.float64]
 
 RAYS = 72
-NEAREST, FARTHEST = 0.45, 1.6
+NEAREST, FARTHEST = 0.35, 1.6
 """Part of each ray that is searched, in units of the guessed radius."""
 FINEST_STEP_PX = 0.5
-MAX_SAMPLES = 72
+MAX_SAMPLES = 80
 MIN_VALID_SHARE = 0.4
 """Of the rays that must cross an edge inside the picture: under it an arc says too little."""
 MIN_INLIER_SHARE = 0.6
@@ -26,6 +26,8 @@ MAX_SPREAD = 0.045
 GOOD_GUESS = 0.15
 """Error of a guess, in radii, from which no ray can mistake another circle for the outer one."""
 MAX_SEARCHES = 3
+MAX_GROWTH = 1.6
+"""Of the disc over its guess; past it, it is another circle. A rolled board's box is 1.41 off."""
 MIN_WIDTH_PX = 4.0
 MIN_CONTRAST = 6.0
 """Grey values between disc and surroundings; JPEG's own steps are smaller."""
@@ -56,11 +58,15 @@ def find_disc(image: NDArray[np.uint8], guess: DiscGuess, dark_inside: bool) -> 
     Returns:
         The points that agree, or None where there is no such outline.
     """
+    first = guess
     for _ in range(MAX_SEARCHES):
         found = _search(image, guess, dark_inside)
         if found is None:
             return None
         outline, better = found
+        growth = math.sqrt(math.prod(better.semi_axes_px) / math.prod(first.semi_axes_px))
+        if not 1 / MAX_GROWTH < growth < MAX_GROWTH:
+            return None
         off = math.dist(guess.center_px, better.center_px) / min(guess.semi_axes_px)
         a, b = (n / o for n, o in zip(better.semi_axes_px, guess.semi_axes_px, strict=True))
         if max(off, abs(a - 1), abs(b - 1)) < GOOD_GUESS:

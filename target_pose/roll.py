@@ -33,6 +33,8 @@ MIN_SLOPE = 1.0
 """Mean slope across the edges, in grey values per sample, that counts as an edge."""
 OUTERMOST = 1.5
 """End of the search in half sides; a corner is at 1.41."""
+MAX_SPREAD_STEPS = 1.5
+"""Robust deviation of the crossings from straight edges; noise alone has over 2."""
 MIN_LEAD = 1.25
 """By how much the best roll must beat those that are far from it."""
 MAX_TURN = math.radians(40.0)
@@ -126,7 +128,8 @@ def _edge_turn(
     last = (width - 1, height - 1)
     slope = slopes(gray_values(image, np.clip(uv, 0, last)))
     # a slope counts if its outermost sample is still in the picture; false for NaN, too
-    seen = ((uv >= 0) & (uv <= last)).all(axis=2)[:, SAMPLES - slope.shape[1] :]
+    inside = np.asarray(((uv >= 0) & (uv <= last)).all(axis=2))
+    seen = inside[:, SAMPLES - slope.shape[1] :]
     slope = np.where(seen, slope, 0.0)
     first = (SAMPLES - slope.shape[1]) // 2
     step = float(radii[1] - radii[0])
@@ -168,8 +171,7 @@ def _refined(
     lever = reach[known] * np.sin(off_normal[known])  # miss = -turn * lever to first order
     design = np.stack([lever, np.ones_like(lever)], axis=1)
     fit = fit_robust(design, miss, np.zeros(2), 0.05 * step)
-    used = np.count_nonzero(fit.weights)
-    if used < RAYS / 4:
+    if fit.sigma > MAX_SPREAD_STEPS * step or np.count_nonzero(fit.weights) < RAYS / 3:
         return None
     turn = float(_TURNS[best] - fit.coefficients[0])
     if abs(turn) > MAX_TURN:
