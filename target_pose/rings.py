@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -20,24 +21,33 @@ MIN_RAYS_SEEN = 8
 MIN_RING_PX = 1.5
 """A ring thinner than this is not to be seen."""
 THICK_RING_PX = 8.0
-"""Of a ring this thick all samples must agree."""
+"""Where no box vouches for a ring's width, all samples of a ring this thick must agree."""
 MIN_CONTRAST_LEVELS, MIN_CONTRAST = 4.0, 0.12
 """Least step between two shades: gray levels, and a share of the lighter one."""
 
 _SKEWS = (0.0, 0.4, -0.4, 0.7, -0.7, 0.88, -0.88)
 """Correlations of the ellipse in a box: a box alone does not say which way a tilted disc leans."""
+_STRETCHES = ((0.85, 1.0), (1.0, 0.85), (0.85, 0.85))
+"""True width and height of a disc per those of its box: nets draw a strongly tilted one wide."""
 _RING_SAMPLES, _DOT_SAMPLES = (0.3, 0.5, 0.7), (0.0, 0.3, 0.6)
 """Where a ring and the innermost disc are sampled, as a share of the way outwards."""
 
 
-def _unit_ellipses() -> NDArray[np.float64]:
-    """Points (S, 2, RAYS) of the ellipses in the square of half side one."""
+def _unit_ellipses(stretches: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
+    """Points (S, 2, RAYS) of the ellipses in stretched squares of half side one, in all skews."""
     angle = np.linspace(0, 2 * np.pi, RAYS, endpoint=False)
     x, y = np.cos(angle), np.sin(angle)
-    return np.stack([np.stack((x, s * x + math.sqrt(1 - s * s) * y)) for s in _SKEWS])
+    return np.stack(
+        [
+            np.stack((w * x, h * (k * x + math.sqrt(1 - k * k) * y)))
+            for w, h in stretches
+            for k in _SKEWS
+        ]
+    )
 
 
-_UNIT = _unit_ellipses()
+_TIGHT = _unit_ellipses([(1.0, 1.0)])
+_LOOSE = _unit_ellipses(_STRETCHES)
 
 
 def is_board(level: Level, target: Target) -> bool:
@@ -50,10 +60,16 @@ def shades_fit(gray: NDArray[np.uint8], boxes: dict[Level, Box], target: Target)
 
     Args:
         gray: (H, W).
-        boxes: With at least one disc's.
+        boxes: With at least one disc's. Where a level lacks, the widths of the rings are checked
+            in the picture; else the boxes have told them.
         target: Sizes and shades.
     """
-    return bool(_edges_fit(gray, _circles(boxes, target), target).any())
+    circles, thick_px = _circles(boxes, target), THICK_RING_PX
+    if len(boxes) == len(target.level_m):
+        thick_px = math.inf
+    return any(
+        bool(_edges_fit(gray, circles, target, unit, thick_px).any()) for unit in (_TIGHT, _LOOSE)
+    )
 
 
 class _Circles(NamedTuple):
@@ -79,10 +95,16 @@ def _circles(boxes: dict[Level, Box], target: Target) -> _Circles:
     return _Circles(np.polyfit(radius, center, 1), np.polyfit(radius, scale, 1))
 
 
-def _edges_fit(gray: NDArray[np.uint8], circles: _Circles, target: Target) -> NDArray[np.bool_]:
-    """Whether every printed edge that can be seen has the right sign on most rays; one per skew.
+def _edges_fit(
+    gray: NDArray[np.uint8],
+    circles: _Circles,
+    target: Target,
+    unit: NDArray[np.float64],
+    thick_px: float,
+) -> NDArray[np.bool_]:
+    """Whether every printed edge that can be seen has the right sign on most rays; one per shape.
 
-    A circle is taken as the ellipse with the skew in its box. Axes: S skews, K rings from the
+    A circle is taken as one of the shapes ``unit`` in its box. Axes: S shapes, K rings from the
     outside in, 3 samples across a ring, R rays.
     """
     radii = [target.board_side_m / 2, *(d.diameter_m / 2 for d in target.discs), 0.0]
@@ -94,7 +116,7 @@ def _edges_fit(gray: NDArray[np.uint8], circles: _Circles, target: Target) -> ND
     radius = inner[:, None] + share * (outer - inner)[:, None]  # (K, 3)
     basis = np.stack((radius, np.ones_like(radius)), axis=-1)
     center, scale = basis @ circles.center_px, basis @ circles.px_per_m  # (K, 3, 2)
-    reach = (radius[..., None] * scale)[None, ..., None] * _UNIT[:, None, None]  # (S, K, 3, 2, R)
+    reach = (radius[..., None] * scale)[None, ..., None] * unit[:, None, None]  # (S, K, 3, 2, R)
     u, v = np.moveaxis(center[None, ..., None] + reach, 3, 0).astype(np.float32)  # (S, K, 3, R)
     height, width = gray.shape
     inside = ((u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)).all(axis=2)
@@ -102,12 +124,12 @@ def _edges_fit(gray: NDArray[np.uint8], circles: _Circles, target: Target) -> ND
     sampled = cv2.remap(gray, u.reshape(flat), v.reshape(flat), cv2.INTER_LINEAR)
     value = np.asarray(sampled, np.float64).reshape(u.shape)
     across = (outer - inner)[None, :, None] * np.hypot(
-        *np.moveaxis(scale[None, :, 1, :, None] * _UNIT[:, None], 2, 0)
+        *np.moveaxis(scale[None, :, 1, :, None] * unit[:, None], 2, 0)
     )  # (S, K, R) width of a ring [px]
     # A thin ring's edges are blurred into it: its mean. Of a thick one the sample that speaks most
     # against its shade, so that a ring of another width does not pass.
     against = np.where(black[:, None], value.max(axis=2), value.min(axis=2))
-    ring = np.where(across >= THICK_RING_PX, against, value.mean(axis=2))
+    ring = np.where(across >= thick_px, against, value.mean(axis=2))
     step = (ring[:, :-1] - ring[:, 1:]) * np.where(black[:-1], -1.0, 1.0)[:, None]
     lighter = np.maximum(ring[:, :-1], ring[:, 1:])
     right = step > np.maximum(MIN_CONTRAST_LEVELS, MIN_CONTRAST * lighter)
