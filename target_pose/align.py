@@ -34,7 +34,7 @@ class DepthPoints:
 
 
 def depth_points_in_box(
-    depth_units: NDArray[np.uint16], camera: RgbdCamera, box: Box, max_points: int = 1500
+    depth_units: NDArray[np.uint16], camera: RgbdCamera, box: Box, max_points: int = 1200
 ) -> DepthPoints:
     """Depth points (colour camera frame) that the colour camera sees inside a box.
 

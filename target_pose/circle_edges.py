@@ -20,6 +20,7 @@ from target_pose.profiles import (
     strongest_edges,
 )
 from target_pose.target import Shade, Target
+from target_pose.vectors import length, orthogonal_to
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -149,8 +150,8 @@ def _outline(
     intrinsics: CameraIntrinsics, pose: CirclePose, circles: tuple[PrintedCircle, ...]
 ) -> _Outline:
     """The circles as the pose predicts them in the picture, with normals and curvatures."""
-    right, up = board_axes(pose.normal)
-    px_per_m = math.sqrt(intrinsics.fx * intrinsics.fy) / float(np.linalg.norm(pose.center))
+    right, up = orthogonal_to(pose.normal)
+    px_per_m = math.sqrt(intrinsics.fx * intrinsics.fy) / length(pose.center)
     parts = []
     for circle in circles:
         around = 2 * math.pi * circle.radius_m * px_per_m
@@ -181,15 +182,6 @@ def _outline(
             )
         )
     return _Outline(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def board_axes(normal: Array) -> tuple[Array, Array]:
-    """Two unit vectors that span the board's plane; any two, the roll being unknown here."""
-    least = np.zeros(3)
-    least[int(np.abs(normal).argmin())] = 1.0
-    right = np.cross(normal, least)
-    right /= np.linalg.norm(right)
-    return right, np.cross(normal, right)
 
 
 _NEARBY = 0.02

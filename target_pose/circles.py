@@ -22,6 +22,7 @@ from target_pose.ellipse import fit_ellipse
 from target_pose.fusion import CircleFit, fit_circles
 from target_pose.lens import rays_from_pixels
 from target_pose.plane import InverseDepthPlane
+from target_pose.vectors import length
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -114,7 +115,7 @@ def _poses(xy: Array, radius_m: float) -> tuple[CirclePose, CirclePose] | None:
 
 
 def _px_per_m(intrinsics: CameraIntrinsics, pose: CirclePose) -> float:
-    return math.sqrt(intrinsics.fx * intrinsics.fy) / float(np.linalg.norm(pose.center))
+    return math.sqrt(intrinsics.fx * intrinsics.fy) / length(pose.center)
 
 
 def _round(fit: CircleFit, radius_px: float) -> bool:

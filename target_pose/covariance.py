@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_wire.geometry import Pose, vector_from_rotation
+from target_pose.vectors import length, unit
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ def covariance_from_information(
     information: Array, normal: Array, center: Array, roll_sigma_rad: float
 ) -> Array:
     """Covariance (6, 6) of an information matrix (6, 6) that says nothing about the roll."""
-    range_m = float(np.linalg.norm(center))
+    range_m = length(center)
     about_normal = np.outer(normal, normal)
     prior = np.zeros((6, 6))
     prior[:3, :3] = np.eye(3) / (MAX_RANGE_SHARE * range_m) ** 2
@@ -51,7 +52,7 @@ def covariance_along(
     roll_sigma_rad: float,
 ) -> Array:
     """Covariance (6, 6) from deviations along and across the line of sight, tilt and roll."""
-    ray = center / np.linalg.norm(center)
+    ray = unit(center)
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = _along(ray, range_sigma_m, lateral_sigma_m)
     covariance[3:, 3:] = _along(normal, roll_sigma_rad, tilt_sigma_rad)

@@ -13,11 +13,11 @@ from target_pose.tukey import RobustFit, fit_robust
 
 Array: TypeAlias = NDArray[np.float64]
 
-RAYS = 72
+RAYS = 60
 NEAREST, FARTHEST = 0.35, 1.6
 """Part of each ray that is searched, in units of the guessed radius."""
-FINEST_STEP_PX = 0.5
-MAX_SAMPLES = 80
+FINEST_STEP_PX = 0.7
+MAX_SAMPLES = 72
 MIN_VALID_SHARE = 0.4
 """Of the rays that must cross an edge inside the picture: under it an arc says too little."""
 MIN_INLIER_SHARE = 0.6

@@ -14,6 +14,7 @@ from target_pose.circle_edges import CircleEdges
 from target_pose.conic import CirclePose
 from target_pose.plane import InverseDepthPlane
 from target_pose.tukey import robust_sigma, tukey_weights
+from target_pose.vectors import length
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -27,8 +28,8 @@ EDGE_FLOOR_PX = 0.04
 TILT_DAMPING = 10.0
 """[1/rad^2] Keeps a step finite where a frontal circle says nothing of its tilt to first order."""
 ITERATIONS = 10
-CONVERGED = 5e-5
-"""Step [rad], or over the range, under which nothing is gained: a tenth of the best accuracy."""
+CONVERGED = 1e-4
+"""Last step [rad], or over the range, after which the next one would be no more than rounding."""
 NEAREST_M = 0.05
 MIN_M_PER_PX = 1e-7
 
@@ -111,7 +112,7 @@ def fit_circles(
         damped[3:6, 3:6] += 1e6 * np.outer(normal, normal)
         damped[:3, :3] += 1e-6 * np.eye(3)
         step = -np.linalg.solve(damped, g)
-        turn = float(np.linalg.norm(step[3:6]))
+        turn = length(np.asarray(step[3:6]))
         if turn > 0.3:
             step *= 0.3 / turn
         center = center + step[:3]

@@ -14,7 +14,7 @@ from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from target_pose.align import depth_points_in_box
 from target_pose.box_guess import BoxGuess, box_guesses
 from target_pose.candidate import Box, Candidate
-from target_pose.circle_edges import board_axes, printed_circles
+from target_pose.circle_edges import printed_circles
 from target_pose.circles import SeenCircles, find_circle, fit_fold, measure_circles
 from target_pose.conic import CirclePose, other_fold
 from target_pose.covariance import (
@@ -30,6 +30,7 @@ from target_pose.localisation import Localisation, Method, Refusal
 from target_pose.plane import InverseDepthPlane, fit_plane, plane_scatter
 from target_pose.roll import Roll, find_roll, hinted_roll, rolled_pose
 from target_pose.target import Target
+from target_pose.vectors import length, orthogonal_to, unit
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -135,7 +136,7 @@ def _checked(
         if up.shape != (3,):
             return Refusal.BAD_INPUT
         with np.errstate(over="ignore"):
-            usable = 1e-6 < float(np.linalg.norm(up)) < 1e6  # false for NaN, too
+            usable = 1e-6 < length(up) < 1e6  # false for NaN, too
         up = up if usable else None
     guesses = box_guesses(candidate, target, color)
     if not guesses:
@@ -180,7 +181,7 @@ def _board_plane(
 
 def _board_box(view: _View, board: CirclePose) -> Box | None:
     """The box of the largest circle on the board."""
-    right, up = board_axes(board.normal)
+    right, up = orthogonal_to(board.normal)
     angle = np.arange(24) * (2 * math.pi / 24)
     rim = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up
     uv = project(board.center + BOARD_SHARE * view.target.board_side_m / 2 * rim, view.camera.color)
@@ -210,7 +211,7 @@ def _free_fit(seen: SeenCircles, intrinsics: CameraIntrinsics) -> _FreeFit | Non
 def _fused(view: _View, seen: SeenCircles, free: _FreeFit, depth: _Depth) -> Localisation | Refusal:
     """Circles and plane together, if they agree; else the circles, or a refusal."""
     plane, nearest = depth.plane, free.fit
-    range_ellipse = float(np.linalg.norm(nearest.pose.center))
+    range_ellipse = length(nearest.pose.center)
     range_plane = _range(plane, nearest.pose.center)
     if not 1 / GROSS_RATIO < range_plane / range_ellipse < GROSS_RATIO:
         return Refusal.INCONSISTENT
@@ -248,7 +249,7 @@ def _by_ellipse(
         apart = _angle(first.pose.normal, second.pose.normal) > SAME_FOLD_RAD
         if apart and abs(behind) < SURE_FOLD:
             share = 1 / (1 + math.exp(abs(behind) / 2))
-    range_ellipse = float(np.linalg.norm(best.pose.center))
+    range_ellipse = length(best.pose.center)
     range_plane = None
     if contradicting is not None:
         range_plane = _range(contradicting.plane, best.pose.center)
@@ -316,7 +317,7 @@ def _by_depth(view: _View, depth: _Depth) -> Localisation | Refusal:
     board = CirclePose(ray * z, depth.plane.normal)
     if _tilt(board) > MAX_TILT_RAD:
         return Refusal.GRAZING
-    range_m = float(np.linalg.norm(board.center))
+    range_m = length(board.center)
     if guess.sized:
         ratio = range_m / _box_range(view, guess)
         if not 1 / GROSS_BOX_RATIO < ratio < GROSS_BOX_RATIO:
@@ -348,7 +349,7 @@ def _by_box(view: _View) -> Localisation | Refusal:
         return Refusal.NO_EVIDENCE
     guess = sized[0]
     ray = _ray(view.camera.color, guess)
-    line = ray / np.linalg.norm(ray)
+    line = unit(ray)
     range_m = _box_range(view, guess)
     board = CirclePose(line * range_m, -line)
     roll = hinted_roll(board, view.up_camera)
@@ -376,7 +377,7 @@ def _roll(view: _View, board: CirclePose) -> Roll:
 
 def _tilt(board: CirclePose) -> float:
     """Angle [rad] between the board's normal and the line of sight."""
-    return _angle(board.normal, -board.center / np.linalg.norm(board.center))
+    return _angle(board.normal, -unit(board.center))
 
 
 def _angle(a: Array, b: Array) -> float:
@@ -386,7 +387,7 @@ def _angle(a: Array, b: Array) -> float:
 def _range(plane: InverseDepthPlane, center: Array) -> float:
     """Distance [m] to the plane along the bearing of a point (3,)."""
     ray = center / center[2]
-    return plane.depth_along(ray) * float(np.linalg.norm(ray))
+    return plane.depth_along(ray) * length(ray)
 
 
 def _ray(intrinsics: CameraIntrinsics, guess: BoxGuess) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from target_pose.tukey import fit_robust, robust_sigma, solve_weighted
+from target_pose.vectors import length, unit
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ class InverseDepthPlane:
     @property
     def normal(self) -> Array:
         """Unit normal (3,) towards the camera."""
-        return np.asarray(-self.coefficients / np.linalg.norm(self.coefficients))
+        return np.asarray(-unit(self.coefficients))
 
     def depth_along(self, ray: Array) -> float:
         """Depth z [m] at which a ray (3,) with z = 1 meets the plane; infinite if it never does."""
@@ -99,11 +100,10 @@ def fit_plane(points: Array) -> InverseDepthPlane | None:
 
 def _systematic(coefficients: Array, center: Array) -> Array:
     """Covariance (3, 3) of an error of scale, and of a tilt about the points' centre."""
-    length = float(np.linalg.norm(coefficients))
-    ray = center / np.linalg.norm(center)
+    ray = unit(center)
     across = np.eye(3) - np.outer(ray, ray)
     scale = SCALE_SIGMA**2 * np.outer(coefficients, coefficients)
-    return np.asarray(scale + (TILT_SIGMA_RAD * length) ** 2 * across)
+    return np.asarray(scale + (TILT_SIGMA_RAD * length(coefficients)) ** 2 * across)
 
 
 def _least_median(design: Array, values: Array) -> Array:

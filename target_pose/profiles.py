@@ -121,7 +121,10 @@ def blur_variance(signed_slopes: Array, edges: ProfileEdges) -> float:
     low = np.minimum(where.astype(np.intp), length - 2)
     part = where - low
     rows = np.arange(len(s))[:, None]
-    mean = np.median(s[rows, low] * (1 - part) + s[rows, low + 1] * part, axis=0)
+    aligned = s[rows, low] * (1 - part) + s[rows, low + 1] * part
+    middle = len(aligned) // 2
+    # the median, for some of the profiles may cross something else
+    mean = np.partition(aligned, middle, axis=0)[middle]
     if not (mean > 0).all():
         return math.nan
     # weighted parabola through log(mean) over the seven shifts: curvature is -1/variance

@@ -16,6 +16,7 @@ from target_pose.localisation import RollSource
 from target_pose.profiles import gray_values, slopes, strongest_edges
 from target_pose.target import Target
 from target_pose.tukey import fit_robust
+from target_pose.vectors import cross, length, unit
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -27,8 +28,8 @@ EDGE_FLOOR_RAD = math.radians(0.3)
 MIN_UP_SINE = 0.35
 """Sine of the angle between up and normal under which a board has no upper edge: 20 degrees."""
 MIN_BOARD_PX = 24.0
-RAYS = 72
-SAMPLES = 32
+RAYS = 64
+SAMPLES = 30
 MIN_SLOPE = 1.0
 """Mean slope across the edges, in grey values per sample, that counts as an edge."""
 OUTERMOST = 1.5
@@ -63,7 +64,7 @@ def find_roll(
     up) is taken.
     """
     hint = hinted_roll(board, up_camera)
-    right = np.cross(hint.up, board.normal)
+    right = cross(hint.up, board.normal)
     turn = _edge_turn(image, intrinsics, board, target, (right, hint.up))
     if turn is None:
         return hint
@@ -74,12 +75,10 @@ def find_roll(
 
 def hinted_roll(board: CirclePose, up_camera: Array | None) -> Roll:
     """The roll of a board that hangs upright, or as upright as the camera is held."""
-    if up_camera is not None:
-        length = float(np.linalg.norm(up_camera))
-        if length > 1e-6:
-            up = _along_board(board.normal, up_camera / length)
-            if up is not None:
-                return Roll(up, GRAVITY_SIGMA_RAD, RollSource.GRAVITY)
+    if up_camera is not None and length(up_camera) > 1e-6:
+        up = _along_board(board.normal, unit(up_camera))
+        if up is not None:
+            return Roll(up, GRAVITY_SIGMA_RAD, RollSource.GRAVITY)
     for axis in (np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])):
         up = _along_board(board.normal, axis)
         if up is not None:
@@ -90,14 +89,14 @@ def hinted_roll(board: CirclePose, up_camera: Array | None) -> Roll:
 def rolled_pose(board: CirclePose, up: Array) -> Pose:
     """``camera_from_target`` of a board whose z axis is ``up`` laid onto it."""
     z = up - board.normal * float(up @ board.normal)
-    z /= np.linalg.norm(z)
-    rotation = np.column_stack([board.normal, np.cross(z, board.normal), z])
+    z /= length(z)
+    rotation = np.column_stack([board.normal, cross(z, board.normal), z])
     return Pose.from_rotation(rotation, board.center)
 
 
 def _along_board(normal: Array, up: Array) -> Array | None:
     along = up - normal * float(normal @ up)
-    sine = float(np.linalg.norm(along))
+    sine = length(along)
     return np.asarray(along / sine) if sine >= MIN_UP_SINE else None
 
 
@@ -115,7 +114,7 @@ def _edge_turn(
     robust fit to the crossings near it.
     """
     half = target.board_side_m / 2
-    px_per_m = math.sqrt(intrinsics.fx * intrinsics.fy) / float(np.linalg.norm(board.center))
+    px_per_m = math.sqrt(intrinsics.fx * intrinsics.fy) / length(board.center)
     if 2 * half * px_per_m < MIN_BOARD_PX:
         return None
     inner = 0.5 * (half + target.discs[0].diameter_m / 2)

@@ -12,6 +12,8 @@ Array: TypeAlias = NDArray[np.float64]
 TUKEY = 4.685
 """In standard deviations: 95 % efficient on Gaussian errors (P. J. Huber, "Robust Statistics")."""
 MAD_TO_SIGMA = 1.4826
+CONVERGED = 0.02
+"""Largest change of a fitted value, in standard deviations, that ends the reweighting."""
 _RIDGE = 1e-12
 """Relative ridge on the normal equations: a singular problem gives a useless but finite answer."""
 
@@ -52,7 +54,7 @@ def fit_robust(
 ) -> RobustFit:
     """Fit ``design`` (N, K) @ x = ``values`` (N,) from a start (K,) that most data agree with.
 
-    ``floor`` is the least standard deviation believed, which also ends the reweighting.
+    ``floor`` is the least standard deviation believed.
     """
     x = start
     for _ in range(iterations):
@@ -61,7 +63,7 @@ def fit_robust(
         following = solve_weighted(design, values, tukey_weights(residuals, sigma))
         change = np.abs(design @ (following - x)).max(initial=0.0)
         x = following
-        if change < 0.01 * floor:
+        if change < CONVERGED * sigma:
             break
     residuals = values - design @ x
     sigma = robust_sigma(residuals, floor)
