@@ -18,6 +18,7 @@ from rgbd_wire.geometry import (
     quaternion_from_rotation,
     quaternion_product,
     rotation_from_vector,
+    skew,
     vector_from_rotation,
 )
 
@@ -29,9 +30,10 @@ is wrong: it starts again from the newest."""
 MAX_VARIANCE = 1e3
 """Sum of a measurement's six variances [m^2, rad^2] above which it says nothing; below it, the
 floors keep every matrix here positive definite, whatever the rounding does."""
-MIN_SIGMA_M = 0.001
-MIN_SIGMA_RAD = 0.005
-"""Floor of a measurement's standard deviation: calibration errors do not average out."""
+ODOMETRY_SIGMA_M = 0.001
+ODOMETRY_SIGMA_RAD = 0.005
+"""Standard deviation of the camera's own pose at an exposure: odometry and mounting. Its attitude
+moves the target by range times angle, so it matters from afar and fades on the way in."""
 DRIFT_MPS = 0.01
 DRIFT_RADPS = 0.005
 """How fast the odometry's world moves under the target."""
@@ -89,13 +91,16 @@ def measure(
     """Compose a result with the camera's pose *at its exposure*.
 
     A left perturbation in camera axes is one in world axes after rotation by the camera's
-    attitude: ``R_wc exp(d) R_ct = exp(R_wc d) R_wc R_ct``.
+    attitude: ``R_wc exp(d) R_ct = exp(R_wc d) R_wc R_ct``. An error ``f`` of that attitude turns
+    the target by ``f`` and moves it by ``f x r``, with ``r`` from the camera to the target.
     """
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = world_from_camera.rotation
+    line_world = world_from_camera.rotation @ camera_from_target.translation
+    by_attitude = np.vstack([-skew(line_world), np.eye(3)])  # (6, 3)
     covariance = turn @ covariance_camera @ turn.T
-    covariance[:3, :3] += MIN_SIGMA_M**2 * np.eye(3)
-    covariance[3:, 3:] += MIN_SIGMA_RAD**2 * np.eye(3)
+    covariance += ODOMETRY_SIGMA_RAD**2 * by_attitude @ by_attitude.T
+    covariance[:3, :3] += ODOMETRY_SIGMA_M**2 * np.eye(3)
     range_m = float(np.linalg.norm(camera_from_target.translation))
     return TargetMeasurement(
         world_from_camera @ camera_from_target, covariance, t_capture_ns, range_m

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import subprocess
 import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 READY_S = 60.0
@@ -25,8 +26,11 @@ def free_port() -> int:
 class ServiceProcess:
     """``edge-service serve`` on loopback ports that stay the same over restarts."""
 
-    def __init__(self, folder: Path, name: str = "worker") -> None:
+    def __init__(
+        self, folder: Path, name: str = "worker", env: Mapping[str, str] | None = None
+    ) -> None:
         self.name = name
+        self._env = os.environ | (env or {})
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.http = f"127.0.0.1:{free_port()}"
         self.log = folder / f"{name}.log"
@@ -38,7 +42,7 @@ class ServiceProcess:
         options = ["--listen", self.endpoint, "--http", self.http, "--name", self.name]
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(
-                [str(executable), "serve", *options], stdout=log, stderr=log
+                [str(executable), "serve", *options], stdout=log, stderr=log, env=self._env
             )
 
     @property
@@ -69,9 +73,11 @@ class ServiceProcess:
 
 
 @contextlib.contextmanager
-def service_process(folder: Path, name: str = "worker") -> Iterator[ServiceProcess]:
-    """A service that is ready, and gone afterwards."""
-    service = ServiceProcess(folder, name)
+def service_process(
+    folder: Path, name: str = "worker", env: Mapping[str, str] | None = None
+) -> Iterator[ServiceProcess]:
+    """A service that is ready, and gone afterwards; ``env`` is added to its environment."""
+    service = ServiceProcess(folder, name, env)
     service.start()
     try:
         service.wait_ready()

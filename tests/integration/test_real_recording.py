@@ -1,6 +1,7 @@
 """The real recording, through a real service process over Zenoh."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -28,14 +29,17 @@ def run(tmp_path_factory):
     camera = folder / "camera.json"
     camera.write_text(json.dumps(CAMERA))
     client = Path(sys.executable).with_name("drone-client")
-    with service_process(folder) as service:
+    # Its world is not aligned with gravity, so that the world's z does not tell the target's up
+    with service_process(folder, env={"EDGE_WORLD_IS_LEVEL": "false"}) as service:
         options = ["--camera", camera, "--truth", RECORDING / "targets.json"]
         options += ["--connect", service.endpoint, "--out", folder / "run"]
         # A loaded machine may be slow: what is found is asked here, not how fast.
         options += ["--tau-max-ms", "5000", "--age-max-ms", "10000", "--as-fast-as-possible"]
-        subprocess.run([client, "replay", RECORDING, *options], check=True, timeout=240)
+        patient = os.environ | {"DRONE_REPLY_TIMEOUT_MS": "30000", "DRONE_ACK_TIMEOUT_MS": "10000"}
+        command = [client, "replay", RECORDING, *options]
+        subprocess.run(command, check=True, timeout=240, env=patient)
     summary = json.loads((folder / "run/summary.json").read_text())
-    ledger = [json.loads(line) for line in (folder / "run/ledger.jsonl").open()]
+    ledger = [json.loads(line) for line in (folder / "run/ledger.jsonl").read_text().splitlines()]
     return summary, ledger
 
 

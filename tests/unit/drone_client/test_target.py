@@ -14,8 +14,8 @@ from drone_client.target import (
     DRIFT_RADPS,
     GATE_CHI2,
     MAX_VARIANCE,
-    MIN_SIGMA_M,
-    MIN_SIGMA_RAD,
+    ODOMETRY_SIGMA_M,
+    ODOMETRY_SIGMA_RAD,
     OUTLIERS_BEFORE_RESET,
     TargetEstimate,
     TargetMeasurement,
@@ -26,7 +26,7 @@ from drone_client.target import (
 from rgbd_wire.geometry import Pose
 from tests.unit.drone_client.builders import MS, SECOND, pose, poses, rotation_of
 
-FLOOR = np.diag([MIN_SIGMA_M**2] * 3 + [MIN_SIGMA_RAD**2] * 3)
+FLOOR = np.diag([ODOMETRY_SIGMA_M**2] * 3 + [ODOMETRY_SIGMA_RAD**2] * 3)
 TIGHT = np.diag([1e-4] * 3 + [4e-4] * 3)
 
 
@@ -189,7 +189,7 @@ def test_blind_measurements_of_the_largest_variance_are_still_solved():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_measure_turns_the_covariance_into_the_world(seed):
-    """Monte Carlo: perturb in the camera, map to the world, and compare the samples' covariance."""
+    """Monte Carlo: perturb the result and the odometry, and compare the samples' covariance."""
     rng = np.random.default_rng(seed)
     world_from_camera = pose(rng.normal(size=3), Rotation.random(rng=seed).as_rotvec())
     camera_from_target = pose((0.3, -0.2, 2.5), (0.4, -1.0, 0.3))
@@ -198,15 +198,20 @@ def test_measure_turns_the_covariance_into_the_world(seed):
     n = 40_000
     d = rng.multivariate_normal(np.zeros(6), covariance_camera, size=n)  # (n, 6)
 
-    R_wc = rotation_of(world_from_camera)
-    R_wt = R_wc * rotation_of(camera_from_target)
-    R_wt_samples = R_wc * Rotation.from_rotvec(d[:, 3:]) * rotation_of(camera_from_target)
+    f = rng.normal(size=(n, 3)) * ODOMETRY_SIGMA_RAD
+    p = rng.normal(size=(n, 3)) * ODOMETRY_SIGMA_M
+
+    R_wc, R_ct = rotation_of(world_from_camera), rotation_of(camera_from_target)
+    R_wt = R_wc * R_ct
+    R_wc_samples = Rotation.from_rotvec(f) * R_wc
+    R_wt_samples = R_wc_samples * Rotation.from_rotvec(d[:, 3:]) * R_ct
     t_wt = world_from_camera @ camera_from_target.translation
-    t_wt_samples = world_from_camera @ (camera_from_target.translation + d[:, :3])
+    t_ct_samples = camera_from_target.translation + d[:, :3]
+    t_wt_samples = world_from_camera.translation + p + R_wc_samples.apply(t_ct_samples)
     in_world = np.hstack([t_wt_samples - t_wt, (R_wt_samples * R_wt.inv()).as_rotvec()])
 
     m = measure(world_from_camera, camera_from_target, covariance_camera, 5)
-    expected = np.cov(in_world.T) + FLOOR
+    expected = np.cov(in_world.T)
     # The standard error of a sample covariance is at most sqrt(2/n) of its variances.
     sigma = np.sqrt(np.diag(expected))
     assert np.abs((m.covariance - expected) / np.outer(sigma, sigma)).max() < 5 * np.sqrt(2 / n)
