@@ -67,6 +67,12 @@ def test_channels_are_rgb(jpeg):
     np.testing.assert_allclose(decode_color(jpeg, WIDTH, HEIGHT), bgr[..., ::-1], atol=4)
 
 
+def test_colour_is_subsampled(jpeg):
+    """4:2:0: the frame header gives brightness 2x2 samples where each colour has one."""
+    at = jpeg.index(BASELINE_FRAME)
+    assert [jpeg[at + 11 + 3 * k] for k in range(3)] == [0x22, 0x11, 0x11]
+
+
 def test_quality_buys_precision(rng):
     """A higher quality weighs more and errs less."""
     noise = rng.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)

@@ -191,9 +191,11 @@ def test_a_small_file_that_claims_a_huge_picture():
 
 @given(st.binary(max_size=100))
 def test_garbage(data):
-    """Bytes that are no JPEG XL, bare and behind a JPEG XL's signature."""
-    refusal(data)
-    refusal(b"\xff\x0a" + data)
+    """Bytes that are no JPEG XL: bare, behind its signature, behind a whole and plain header."""
+    whole = jxl(ramp())
+    header = whole[whole.index(b"\xff\x0a") :][:12]
+    for start in (b"", b"\xff\x0a", header):
+        refusal(start + data)
 
 
 @given(st.data())
