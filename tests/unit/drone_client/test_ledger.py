@@ -8,7 +8,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from drone_client.errors import OutputError
@@ -131,6 +131,7 @@ values = st.recursive(
 
 @settings(max_examples=60)
 @given(st.dictionaries(st.sampled_from(["h_m", "pose", "age_ms"]), values))
+@example({"h_m": math.nan, "pose": [1.0, math.inf, {"deep": (-math.inf, 2)}]})
 def test_nan_is_never_written_and_costs_no_line(details):
     """JSON knows no NaN and no infinity: null stands in their place, the rest is as it was."""
 
@@ -139,7 +140,7 @@ def test_nan_is_never_written_and_costs_no_line(details):
             return value if math.isfinite(value) else None
         if isinstance(value, dict):
             return {k: without_nan(v) for k, v in value.items()}
-        return [without_nan(v) for v in value] if isinstance(value, list) else value
+        return [without_nan(v) for v in value] if isinstance(value, list | tuple) else value
 
     with tempfile.TemporaryDirectory() as folder:
         ledger = Ledger(Path(folder))
