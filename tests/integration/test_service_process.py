@@ -194,3 +194,20 @@ def test_what_cannot_be_loaded_is_one_line(failing, tmp_path):
     assert str(tmp_path / "none") in failing("--weights", str(tmp_path / "none"))
     assert "packaged: bullseye-400" in failing("--target", "bullseye-999")
     assert "did you mean EDGE_WEIGHTS?" in failing(EDGE_WEIHGTS="x")
+
+
+def test_sigterm_while_it_still_loads_ends_it_at_once():
+    """Before the service can drain there is nothing to drain: exit 0, without waiting for torch."""
+    early = (
+        "import os, signal, threading\n"
+        "from edge_service.cli import main\n"
+        "threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGTERM)).start()\n"
+        "main()\n"
+    )
+    command = [sys.executable, "-c", early, "serve", "--http", f"127.0.0.1:{free_port()}"]
+    command += ["--listen", f"tcp/127.0.0.1:{free_port()}"]
+    run = subprocess.run(
+        command, env=environment(), capture_output=True, timeout=TIMEOUT_S, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    assert b"ready" not in run.stdout + run.stderr
