@@ -28,8 +28,8 @@ OUTLIERS_BEFORE_RESET = 4
 """So many measurements in a row that disagree with the estimate mean that it is the estimate that
 is wrong: it starts again from the newest."""
 MAX_VARIANCE = 1e3
-"""Sum of a measurement's six variances [m^2, rad^2] above which it says nothing; below it, the
-floors keep every matrix here positive definite, whatever the rounding does."""
+"""Sum of a measurement's six variances [m^2, rad^2] above which it says nothing; below it,
+odometry's own share keeps every matrix here positive definite, whatever the rounding does."""
 ODOMETRY_SIGMA_M = 0.001
 ODOMETRY_SIGMA_RAD = 0.005
 """Standard deviation of the camera's own pose at an exposure: odometry and mounting. Its attitude
@@ -98,13 +98,19 @@ def measure(
     turn[:3, :3] = turn[3:, 3:] = world_from_camera.rotation
     line_world = world_from_camera.rotation @ camera_from_target.translation
     by_attitude = np.vstack([-skew(line_world), np.eye(3)])  # (6, 3)
-    covariance = turn @ covariance_camera @ turn.T
+    covariance = turn @ _without_negatives(covariance_camera) @ turn.T
     covariance += ODOMETRY_SIGMA_RAD**2 * by_attitude @ by_attitude.T
     covariance[:3, :3] += ODOMETRY_SIGMA_M**2 * np.eye(3)
     range_m = float(np.linalg.norm(camera_from_target.translation))
     return TargetMeasurement(
         world_from_camera @ camera_from_target, covariance, t_capture_ns, range_m
     )
+
+
+def _without_negatives(covariance: Array) -> Array:
+    """The nearest positive semi-definite matrix: the wire lets rounding's negatives through."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def update(

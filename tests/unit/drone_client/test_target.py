@@ -187,6 +187,18 @@ def test_blind_measurements_of_the_largest_variance_are_still_solved():
     np.testing.assert_allclose(estimate.world_from_target.translation, (0, 0, 2), atol=1e-6)
 
 
+@given(seeds, st.floats(0, 3), st.floats(0.1, 100))
+def test_what_the_wire_lets_through_becomes_positive_definite(seed, magnitude, far_m):
+    """A covariance may be as far below zero as the decoder's tolerance: -1e-9 of its trace."""
+    rng = np.random.default_rng(seed)
+    axes = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    values = np.array([1.0, 1.0, 0.0, 0.0, -1e-9, -1e-9]) * 10**magnitude / 2
+    m = measure(pose(), pose((0, 0, far_m)), (axes * values) @ axes.T, 0)
+    np.linalg.cholesky(m.covariance)
+    estimate, _ = update(estimate_at(pose((0, 0, far_m)), m.covariance), m)
+    np.linalg.cholesky(estimate.covariance)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_measure_turns_the_covariance_into_the_world(seed):
     """Monte Carlo: perturb the result and the odometry, and compare the samples' covariance."""
