@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -144,10 +145,31 @@ def snap(
         print(json.dumps(answer, indent=2))
         return
     table = Table("", "", title=Text(color.name), show_header=False)
-    for key, value in answer.items():
-        text = json.dumps(value) if isinstance(value, dict | list) else str(value)
-        table.add_row(Text(key), Text(text))
+    for key, value in _leaves(answer):
+        table.add_row(Text(key), Text(value))
     Console().print(table)
+
+
+def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Each number, text and list of them in an answer by its path, short enough to read.
+
+    Matrices repeat what stands in other fields or are for programs: --json has them.
+    """
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _leaves(inner, f"{key}.{name}" if key else name)
+    elif isinstance(value, list) and value and isinstance(value[0], dict | list):
+        if isinstance(value[0], dict):
+            for number, inner in enumerate(value):
+                yield from _leaves(inner, f"{key}[{number}]")
+    elif isinstance(value, list):
+        yield key, ", ".join(_short(v) for v in value)
+    else:
+        yield key, _short(value)
+
+
+def _short(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def main() -> None:

@@ -320,14 +320,23 @@ def service():
 
 
 def test_snap_sends_both_pictures_and_the_camera_and_shows_the_answer(command, recording, service):
-    """As a table with every word of it, or as JSON."""
-    server = service(200, b'{"outcome": "target", "note": "[bold]x[/bold]", "pose": [1, 2]}')
+    """As a table of what people read, or all of it as JSON."""
+    answer = {
+        "outcome": "target",
+        "note": "[bold]x[/bold]",
+        "target": {"translation_m": [0.123456789, 2], "matrix": [[1.5, 0], [0, 1.5]]},
+        "boxes": [{"level": "T_good", "score": 0.5}],
+    }
+    server = service(200, json.dumps(answer).encode())
     pictures = [recording / "rgb/0.png", recording / "depth/0.png"]
     ask = ["snap", *pictures, "--camera", recording / "camera.json", "--url", server.url + "/"]
     code, out, err = command(*ask)
     assert (code, err) == (0, "")
-    assert "[bold]x[/bold]" in out
-    assert "[1, 2]" in out
+    rows = {row[0]: " ".join(row[1:]) for row in map(str.split, out.replace("│", " ").splitlines())}
+    assert rows["note"] == "[bold]x[/bold]"
+    assert rows["target.translation_m"] == "0.123457, 2"
+    assert rows["boxes[0].score"] == "0.5"
+    assert "1.5" not in out
     path, data = server.asked[0]
     assert path == "/v1/localize"
     for field, file in zip(("color", "depth"), pictures, strict=True):
@@ -335,7 +344,7 @@ def test_snap_sends_both_pictures_and_the_camera_and_shows_the_answer(command, r
         assert file.read_bytes() in data
     assert (recording / "camera.json").read_bytes() in data
     code, out, _ = command(*ask, "--json")
-    assert json.loads(out)["pose"] == [1, 2]
+    assert json.loads(out) == answer
 
 
 @pytest.mark.parametrize(
