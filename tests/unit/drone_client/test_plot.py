@@ -68,13 +68,14 @@ def test_lines_without_numbers_are_drawn_around(tmp_path):
         frame_line(4, "superseded_on_board"),
         frame_line(5, "interrupted"),
         frame_line(6, verdict="too_old", age_ms=900.0),
+        frame_line(7, verdict="not_looked_at"),
     ]
     ticks = [
         {"t_ns": 0, "command_mps": [0, 0, 0], "yaw_rate_radps": 0},
         tick_line(1, h_m=None, h_robust_m=None),
     ]
     picture = drawn(tmp_path / "run.png", frames, ticks)
-    for name in ("tab:purple", "tab:red", "tab:brown"):
+    for name in ("tab:purple", "tab:red", "tab:brown", "tab:pink"):
         assert share(picture, np.array(to_rgb(name)) * 255) > 1e-5
     assert share(picture, GOLD) < 1e-3
 

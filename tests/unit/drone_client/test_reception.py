@@ -164,6 +164,19 @@ def test_an_accepted_result_without_a_target_changes_no_estimate():
     assert rig.receiver.estimate is None
 
 
+@pytest.mark.parametrize("outcome", [Outcome.SUPERSEDED, Outcome.DRAINING, Outcome.BAD_FRAME])
+def test_an_answer_that_nobody_looked_at_the_picture_settles_it_and_is_no_knowledge(outcome):
+    """Its slot is free, its verdict is told; an older result may still be accepted after it."""
+    rig = Rig().acknowledged()
+    rig.receiver.sending(SentFrame(6, T_CAPTURE_NS - 1, T1_NS, WORKER))
+    rig.receiver.on_message(seal_ack(msgspec.structs.replace(ACK, sequence=6)), T1_NS)
+    got = rig.receive(result(outcome=outcome, reason="newer frame", target=None))
+    assert got.judgement.verdict is Verdict.NOT_LOOKED_AT
+    assert rig.heard[-1] == (7, WORKER)
+    older = rig.receive(result(sequence=6, t_capture_ns=T_CAPTURE_NS - 1))
+    assert older.judgement.accepted
+
+
 @pytest.mark.parametrize("covariance", [np.full((6, 6), 1e12), np.eye(6) * 1e12, np.eye(6) * 200])
 def test_a_target_that_says_it_knows_nothing_is_not_used(covariance):
     """The largest covariance that the wire lets through, of rank one too; and nothing raises."""
