@@ -58,6 +58,8 @@ class CircleEdges(NamedTuple):
     where another printed edge is so near that the two run into one another."""
     blur_px: float
     """Standard deviation of the blur; NaN if it could not be measured."""
+    missing: float = 0.0
+    """What the points would count for that lie in the picture, but where no edge was found."""
 
 
 def printed_circles(target: Target) -> tuple[PrintedCircle, ...]:
@@ -100,6 +102,7 @@ def measure_edges(
     offsets = step_px * (np.arange(SAMPLES) - (SAMPLES - 1) / 2)
     uv = outline.uv[:, None, :] + outline.normal[:, None, :] * offsets[:, None]
     signed = slopes(gray_values(image, uv)) * outline.dark_side[:, None]
+    visible = np.isfinite(signed[:, 0])  # one value outside the picture makes all of them NaN
     edges = strongest_edges(signed)
     known = np.isfinite(edges.at) & np.isfinite(outline.curvature)
     if not known.any():
@@ -114,12 +117,14 @@ def measure_edges(
     real = np.isfinite(xy).all(axis=1)
     if not real.any():
         return None
+    share = _share(outline, edge_px)
     return CircleEdges(
         xy[real],
         outline.radius_m[known][real],
         outline.dark_side[known][real],
-        _share(outline, edge_px)[known][real],
+        share[known][real],
         math.sqrt(blur2) if math.isfinite(blur2) else math.nan,
+        float(share[visible & ~known].sum()),
     )
 
 

@@ -19,7 +19,7 @@ from target_pose.circle_edges import (
 from target_pose.conic import CirclePose, circle_poses
 from target_pose.disc_finder import find_disc
 from target_pose.ellipse import fit_ellipse
-from target_pose.fusion import CircleFit, fit_circles
+from target_pose.fusion import OUTLIER_COST, CircleFit, fit_circles
 from target_pose.lens import rays_from_pixels
 from target_pose.plane import InverseDepthPlane
 from target_pose.vectors import length
@@ -45,14 +45,17 @@ class RoughCircle(NamedTuple):
     """Profile step that fits the picture's blur."""
 
 
-class SeenCircles(NamedTuple):
-    """The circles' edges, and the two poses from which the outer one looks the same."""
+class SeenFold(NamedTuple):
+    """The circles' edges where one fold predicts them, and the pose there that fits them best."""
 
     edges: CircleEdges
-    folds: tuple[CirclePose, CirclePose]
-    """Of the outer circle alone; the one nearer to a normal known from elsewhere first."""
+    fit: CircleFit
     radius_px: float
     """Of the outer circle."""
+
+    def cost(self, sigma_px: float) -> float:
+        """Squared errors in standard deviations; an edge that is not there counts as an outlier."""
+        return self.fit.cost(sigma_px) + OUTLIER_COST * self.edges.missing
 
 
 def find_circle(
@@ -74,37 +77,36 @@ def find_circle(
     return None
 
 
-def measure_circles(
+def fit_fold(
     image: NDArray[np.uint8],
     intrinsics: CameraIntrinsics,
     circles: tuple[PrintedCircle, ...],
     rough: RoughCircle,
-    nearest_to: Array | None,
-) -> SeenCircles | None:
-    """Measure all circles that are large enough.
+    fold: CirclePose,
+) -> SeenFold | None:
+    """Measure all circles that are large enough, near one of the rough folds, and fit the pose.
 
-    ``nearest_to`` (3,) is a normal from elsewhere: the fold nearer to it predicts where the inner
-    circles lie.
+    Near the target the folds predict the inner circles in different places, so that each has to
+    look for its own.
+
+    Returns:
+        The fit, or None if what is there is not circles.
     """
-    first, second = rough.folds
-    if nearest_to is not None and second.normal @ nearest_to > first.normal @ nearest_to:
-        first, second = second, first
-    px_per_m = _px_per_m(intrinsics, first)
+    px_per_m = _px_per_m(intrinsics, rough.folds[0])
     worth = circles_worth_measuring(circles, px_per_m)
-    edges = measure_edges(image, intrinsics, first, worth, rough.step_px)
+    edges = measure_edges(image, intrinsics, fold, worth, rough.step_px)
     if edges is None or len(edges.xy) < MIN_POINTS:
         return None
-    return SeenCircles(edges, (first, second), circles[0].radius_m * px_per_m)
+    radius_px = circles[0].radius_m * px_per_m
+    fit = fit_circles(edges, intrinsics, fold)
+    return SeenFold(edges, fit, radius_px) if fit is not None and _round(fit, radius_px) else None
 
 
-def fit_fold(
-    seen: SeenCircles,
-    intrinsics: CameraIntrinsics,
-    start: CirclePose,
-    plane: InverseDepthPlane | None = None,
+def fit_with_plane(
+    seen: SeenFold, intrinsics: CameraIntrinsics, plane: InverseDepthPlane
 ) -> CircleFit | None:
-    """The pose near a start that fits the edges (and the plane); None if they are no circles."""
-    fit = fit_circles(seen.edges, intrinsics, start, plane)
+    """The pose that fits edges and plane together; None if it does not fit the edges any more."""
+    fit = fit_circles(seen.edges, intrinsics, seen.fit.pose, plane)
     return fit if fit is not None and _round(fit, seen.radius_px) else None
 
 

@@ -27,6 +27,8 @@ EDGE_FLOOR_PX = 0.04
 """Least standard deviation of one edge point: pixel raster, JPEG."""
 TILT_DAMPING = 10.0
 """[1/rad^2] Keeps a step finite where a frontal circle says nothing of its tilt to first order."""
+OUTLIER_COST = 25.0
+"""Squared standard deviations past which an error says no more than that the point is wrong."""
 ITERATIONS = 10
 CONVERGED = 1e-4
 """Last step [rad], or over the range, after which the next one would be no more than rounding."""
@@ -58,7 +60,7 @@ class CircleFit:
 
     def cost(self, sigma_px: float) -> float:
         """Squared errors in standard deviations, an outlier's taken as 5 sigma."""
-        squares = np.minimum(np.square(self.errors_px / sigma_px), 25.0)
+        squares = np.minimum(np.square(self.errors_px / sigma_px), OUTLIER_COST)
         return float(self.share @ squares) + self.prior_cost
 
 

@@ -15,7 +15,7 @@ from target_pose.align import depth_points_in_box
 from target_pose.box_guess import BoxGuess, box_guesses
 from target_pose.candidate import Box, Candidate
 from target_pose.circle_edges import printed_circles
-from target_pose.circles import SeenCircles, find_circle, fit_fold, measure_circles
+from target_pose.circles import RoughCircle, SeenFold, find_circle, fit_fold, fit_with_plane
 from target_pose.conic import CirclePose, other_fold
 from target_pose.covariance import (
     covariance_along,
@@ -103,16 +103,12 @@ def localise(
     rough = find_circle(view.image, camera.color, circles[0], view.guesses)
     outline = None if rough is None else rough.folds[0]
     depth = None if depth_units is None else _board_plane(depth_units, view, outline)
-    seen = None
-    if rough is not None:
-        normal = None if depth is None else depth.plane.normal
-        seen = measure_circles(view.image, camera.color, circles, rough, normal)
-    free = None if seen is None else _free_fit(seen, camera.color)
-    if seen is None or free is None:
+    near = None if rough is None else _near_fold(view, rough, depth)
+    if rough is None or near is None:
         return _by_depth(view, depth) if depth is not None else _by_box(view)
     if depth is None:
-        return _by_ellipse(view, seen, free)
-    return _fused(view, seen, free, depth)
+        return _by_ellipse(view, near)
+    return _fused(view, near, depth)
 
 
 def _checked(
@@ -192,32 +188,44 @@ def _board_box(view: _View, board: CirclePose) -> Box | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _FreeFit:
-    """The circles' pose without any depth, in one fold, and the start of the other one."""
+class _NearFold:
+    """The circles' pose without any depth in the fold that the depth prefers, if there is any."""
 
-    fit: CircleFit
+    seen: SeenFold
+    rough: RoughCircle
     other: CirclePose
+    """Start of the other fold."""
 
 
-def _free_fit(seen: SeenCircles, intrinsics: CameraIntrinsics) -> _FreeFit | None:
-    """In the first fold, or in the second where the inner circles rule the first one out."""
-    for start, other in (seen.folds, seen.folds[::-1]):
-        fit = fit_fold(seen, intrinsics, start)
-        if fit is not None:
-            return _FreeFit(fit, other)
+def _near_fold(view: _View, rough: RoughCircle, depth: _Depth | None) -> _NearFold | None:
+    """The fold nearer to the plane's normal, or the other one where that is not what is seen."""
+    one, two = rough.folds
+    if depth is not None:
+        normal = depth.plane.normal
+        if two.normal @ normal > one.normal @ normal:
+            one, two = two, one
+    for start, other in ((one, two), (two, one)):
+        seen = _fit_fold(view, rough, start)
+        if seen is not None:
+            return _NearFold(seen, rough, other)
     return None
 
 
-def _fused(view: _View, seen: SeenCircles, free: _FreeFit, depth: _Depth) -> Localisation | Refusal:
+def _fit_fold(view: _View, rough: RoughCircle, start: CirclePose) -> SeenFold | None:
+    circles = printed_circles(view.target)
+    return fit_fold(view.image, view.camera.color, circles, rough, start)
+
+
+def _fused(view: _View, near: _NearFold, depth: _Depth) -> Localisation | Refusal:
     """Circles and plane together, if they agree; else the circles, or a refusal."""
-    plane, nearest = depth.plane, free.fit
-    range_ellipse = length(nearest.pose.center)
-    range_plane = _range(plane, nearest.pose.center)
+    plane, free = depth.plane, near.seen.fit
+    range_ellipse = length(free.pose.center)
+    range_plane = _range(plane, free.pose.center)
     if not 1 / GROSS_RATIO < range_plane / range_ellipse < GROSS_RATIO:
         return Refusal.INCONSISTENT
-    fused = fit_fold(seen, view.camera.color, nearest.pose, plane)
-    if fused is None or _strain(fused, nearest, plane) > GATE:
-        return _by_ellipse(view, seen, free, depth)
+    fused = fit_with_plane(near.seen, view.camera.color, plane)
+    if fused is None or _strain(fused, free, plane) > GATE:
+        return _by_ellipse(view, near, depth)
     return _concluded(
         view,
         fused,
@@ -236,17 +244,20 @@ def _strain(fused: CircleFit, free: CircleFit, plane: InverseDepthPlane) -> floa
 
 
 def _by_ellipse(
-    view: _View, seen: SeenCircles, free: _FreeFit, contradicting: _Depth | None = None
+    view: _View, near: _NearFold, contradicting: _Depth | None = None
 ) -> Localisation | Refusal:
     """The circles alone. Which fold it is, the inner circles tell where they are large enough."""
-    best = first = free.fit
-    second = fit_fold(seen, view.camera.color, free.other)
+    first = near.seen
+    best, alternative = first.fit, near.other
     share = 0.0
+    second = _fit_fold(view, near.rough, near.other)
     if second is not None:
-        behind = second.cost(first.sigma_px) - first.cost(first.sigma_px)
+        sigma = min(first.fit.sigma_px, second.fit.sigma_px)
+        behind = second.cost(sigma) - first.cost(sigma)
+        best, alternative = first.fit, second.fit.pose
         if behind < 0:
-            best, second = second, first
-        apart = _angle(first.pose.normal, second.pose.normal) > SAME_FOLD_RAD
+            best, alternative = second.fit, first.fit.pose
+        apart = _angle(best.pose.normal, alternative.normal) > SAME_FOLD_RAD
         if apart and abs(behind) < SURE_FOLD:
             share = 1 / (1 + math.exp(abs(behind) / 2))
     range_ellipse = length(best.pose.center)
@@ -257,7 +268,7 @@ def _by_ellipse(
         view,
         best,
         Method.ELLIPSE,
-        alternative=free.other if second is None else second.pose,
+        alternative=alternative,
         alternative_share=share,
         ranges=(range_ellipse, range_plane),
         depth=contradicting,

@@ -23,6 +23,7 @@ Array: TypeAlias = NDArray[np.float64]
 GRAVITY_SIGMA_RAD = math.radians(3.0)
 """An accelerometer in flight, and a board hung by eye."""
 ASSUMED_SIGMA_RAD = math.radians(30.0)
+UNKNOWN_SIGMA_RAD = math.pi / 2
 EDGE_FLOOR_RAD = math.radians(0.3)
 """How square a board is cut to its print."""
 MIN_UP_SINE = 0.35
@@ -70,7 +71,10 @@ def find_roll(
         return hint
     angle, sigma = turn
     up = math.cos(angle) * hint.up + math.sin(angle) * right
-    return Roll(up, math.hypot(sigma, EDGE_FLOOR_RAD), RollSource.EDGES)
+    sigma = math.hypot(sigma, EDGE_FLOOR_RAD)
+    if hint.sigma_rad > ASSUMED_SIGMA_RAD:
+        sigma = math.pi / 4  # sure of the edges, but not of which one is up
+    return Roll(up, sigma, RollSource.EDGES)
 
 
 def hinted_roll(board: CirclePose, up_camera: Array | None) -> Roll:
@@ -79,11 +83,12 @@ def hinted_roll(board: CirclePose, up_camera: Array | None) -> Roll:
         up = _along_board(board.normal, unit(up_camera))
         if up is not None:
             return Roll(up, GRAVITY_SIGMA_RAD, RollSource.GRAVITY)
-    for axis in (np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])):
-        up = _along_board(board.normal, axis)
-        if up is not None:
-            return Roll(up, ASSUMED_SIGMA_RAD, RollSource.ASSUMED)
-    raise AssertionError("one of two orthogonal axes is not along the normal")
+    up = _along_board(board.normal, np.array([0.0, -1.0, 0.0]))
+    if up is not None:
+        return Roll(up, ASSUMED_SIGMA_RAD, RollSource.ASSUMED)
+    # on a floor or a ceiling even the camera's up says nothing
+    ahead = np.array([0.0, 0.0, 1.0])
+    return Roll(unit(ahead - board.normal * board.normal[2]), UNKNOWN_SIGMA_RAD, RollSource.ASSUMED)
 
 
 def rolled_pose(board: CirclePose, up: Array) -> Pose:

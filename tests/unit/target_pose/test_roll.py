@@ -113,3 +113,12 @@ def test_a_board_on_the_floor_takes_no_roll_from_gravity():
     board = CirclePose(np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0]))
     roll = hinted_roll(board, np.array([0.0, -9.81, 0.0]))
     assert roll.source is RollSource.ASSUMED
+    assert roll.sigma_rad > ASSUMED_SIGMA_RAD
+
+
+def test_which_edge_is_up_is_not_claimed_for_a_board_on_the_floor():
+    pose = facing_pose([0.0, 0.25, 0.8], math.radians(58), -math.pi / 2, 0.2)
+    assert abs(pose.rotation[1, 0]) > 0.95
+    roll = find_roll(picture(pose), CAMERA, board_of(pose), TARGET, None)
+    assert roll.source is RollSource.EDGES
+    assert roll.sigma_rad == math.pi / 4
