@@ -161,7 +161,7 @@ def test_a_drone_stops_when_it_is_told_to(worker):
     drone = LoadDrone("load-0", settings, PICTURES, clock)
     stop = threading.Event()
     until_ns = clock.now_ns() + 3600 * SECOND
-    thread = threading.Thread(target=drone.run, args=(0.1, 0.9, until_ns, stop))
+    thread = threading.Thread(target=drone.run, args=(0.1, 0.9, until_ns, stop), daemon=True)
     thread.start()
     stop.set()
     thread.join(10)

@@ -59,7 +59,7 @@ def test_closing_wakes_whoever_waits():
     """A take without a time limit worth speaking of ends when the slot is closed."""
     slot: Newest[int] = Newest()
     got: list[int | None] = []
-    thread = threading.Thread(target=lambda: got.append(slot.take(timeout_s=60)))
+    thread = threading.Thread(target=lambda: got.append(slot.take(timeout_s=60)), daemon=True)
     thread.start()
     slot.close()
     thread.join(10)

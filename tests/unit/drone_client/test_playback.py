@@ -103,7 +103,7 @@ def test_lockstep_stands_at_the_capture_under_way_and_nowhere_until_it_is_told()
             given.put(t_ns)
             told.get(timeout=10)
 
-    flying = threading.Thread(target=fly)
+    flying = threading.Thread(target=fly, daemon=True)
     flying.start()
     for x in (0.0, 1.0):
         given.get(timeout=10)
