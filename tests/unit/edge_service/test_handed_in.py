@@ -115,6 +115,12 @@ def test_headers_agree_with_another_writer(width, height, is_png, channels):
     assert read_header(data.tobytes()) == PictureHeader(kind, width, height, 8, channels)
 
 
+def test_a_jpeg_may_pad_its_markers():
+    """Fill bytes before a marker are allowed (ITU-T T.81, B.1.1.2) and change nothing."""
+    at = JPEG.index(b"\xff\xdb")
+    assert read_header(JPEG[:at] + b"\xff\xff" + JPEG[at:]) == read_header(JPEG)
+
+
 @given(st.sampled_from([JPEG, PNG]), st.integers(0, 700), st.binary(max_size=8), st.data())
 def test_no_damage_breaks_the_header_reader(picture, keep, patch, data):
     """Cut and overwritten headers are read or refused, never more than that."""

@@ -6,6 +6,7 @@ import asyncio
 import json
 import re
 import socket
+import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ import httpx
 import imagecodecs
 import numpy as np
 import pytest
+from starlette.formparsers import MultiPartParser
 
 from edge_service.errors import AddressError, ImageError
 from edge_service.http.app import create_app
@@ -187,6 +189,25 @@ def test_too_large_an_upload_is_cut_off(client, declared):
     assert response.status_code == 413
     assert response.json()["detail"] == "the upload is over 1 MB"
     assert response.headers["connection"] == "close"
+
+
+def test_a_declared_size_is_refused_before_it_is_sent(client):
+    """A client that says how much will come is told at once, not after it was sent."""
+    with socket.create_connection((client.base_url.host, client.base_url.port), 20) as upload:
+        upload.sendall(
+            b"POST /v1/localize HTTP/1.1\r\nHost: x\r\nContent-Length: 1000001\r\n"
+            b"Content-Type: multipart/form-data; boundary=x\r\n\r\n"
+        )
+        assert upload.recv(12) == b"HTTP/1.1 413"
+
+
+def test_an_upload_never_touches_the_disk(client, monkeypatch):
+    """The root file system is read-only in a cluster: even the largest upload stays in memory."""
+    monkeypatch.setattr(tempfile, "tempdir", "/nowhere")
+    response = client.post("/v1/localize", files=FILES | {"color": ("c", bytes(990_000))})
+    assert response.status_code == 422
+    monkeypatch.setattr(MultiPartParser, "spool_max_size", 1000)
+    assert client.post("/v1/localize", files=FILES).status_code == 200
 
 
 def test_a_client_that_goes_away_leaves_no_trace(caplog):

@@ -60,6 +60,15 @@ def test_an_older_frame_never_displaces_a_newer_one():
     assert offer(mailbox, arrival(sequence=3))[0] is Verdict.OUTDATED
 
 
+def test_an_older_frame_that_comes_twice_is_outdated_once():
+    """A late frame is told that it is late; the same one again is not answered again."""
+    mailbox = Mailbox(4, EVER_NS)
+    offer(mailbox, arrival(sequence=5))
+    assert offer(mailbox, arrival(sequence=4))[0] is Verdict.OUTDATED
+    assert offer(mailbox, arrival(sequence=4))[0] is Verdict.REPEATED
+    assert offer(mailbox, arrival(sequence=3))[0] is Verdict.OUTDATED
+
+
 def test_an_overtaken_put_gives_its_own_frame_back():
     """Of two frames admitted in order and put in reverse, the newer one keeps the slot."""
     mailbox = Mailbox(4, EVER_NS)
@@ -113,6 +122,16 @@ def test_one_drone_too_many_has_no_room_until_another_falls_silent():
     assert offer(mailbox, arrival("c", sequence=2), IDLE_NS)[0] is Verdict.NO_ROOM
     assert offer(mailbox, arrival("c", sequence=3), IDLE_NS + 1)[0] is Verdict.ADMITTED
     assert mailbox.drones == 2
+
+
+def test_the_longest_silent_drone_makes_way_not_the_first_one():
+    """A drone that has been there longest but sends keeps its place."""
+    mailbox = Mailbox(2, IDLE_NS)
+    for drone, sequence, now_ns in (("a", 0, 0), ("b", 0, 0), ("a", 1, IDLE_NS)):
+        offer(mailbox, arrival(drone, sequence=sequence), now_ns)
+        mailbox.take(0)
+    assert offer(mailbox, arrival("c"), IDLE_NS + 1)[0] is Verdict.ADMITTED
+    assert offer(mailbox, arrival("a", sequence=1), IDLE_NS + 1)[0] is Verdict.REPEATED
 
 
 def test_a_drone_silent_for_long_starts_over():

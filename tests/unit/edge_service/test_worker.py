@@ -97,6 +97,26 @@ def test_a_worker_that_is_stuck_is_not_alive():
     bench.drain()
 
 
+def test_a_worker_that_comes_round_is_alive_again():
+    """Each frame that it begins shows that it lives, however long it had nothing to do."""
+    detector = HeldDetector()
+    bench = Bench(detector, heartbeat_s=3)
+    bench.service.start()
+    detector.go.release()
+    bench.deliver(message(drone="d1"))
+    bench.transport.wait_for_results(1)
+    bench.clock.advance(3600 * SECOND_NS)
+    for drone in ("d2", "d3"):  # the loop comes round between the two
+        bench.deliver(message(drone=drone, budget_ns=7200 * SECOND_NS))
+    assert detector.entered.acquire(timeout=20)
+    assert detector.entered.acquire(timeout=20)
+    detector.go.release()
+    assert detector.entered.acquire(timeout=20)
+    assert bench.state.alive
+    detector.go.release()
+    bench.drain()
+
+
 def test_a_service_that_is_still_starting_is_alive():
     """Before there is a worker nothing is stuck."""
     bench = Bench()
