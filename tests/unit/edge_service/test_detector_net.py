@@ -73,7 +73,8 @@ def test_bf16_stays_near_fp32_and_answers_in_fp32():
 def test_a_fresh_net_expects_next_to_nothing():
     """The prior keeps the first loss small: scores start near one in a hundred."""
     torch.manual_seed(0)
-    scores = TargetNet(CONFIG).eval()(torch.rand(1, 3, 64, 64)).logits.sigmoid()
+    with torch.inference_mode():
+        scores = TargetNet(CONFIG).eval()(torch.rand(1, 3, 64, 64)).logits.sigmoid()
     assert PRIOR_SCORE / 10 < float(scores.mean()) < PRIOR_SCORE * 10
 
 
