@@ -85,6 +85,22 @@ def test_turned_away_the_drone_yaws_back(turn, sign):
     assert sign * d.command.yaw_rate_radps > 0.01
 
 
+@pytest.mark.parametrize("tilt", [0.0, 0.5])
+@pytest.mark.parametrize("turn", [0.3, -0.2])
+def test_a_drone_that_only_turns_keeps_its_tip_where_it_is(tilt, turn):
+    """The body moves against the swing of the arm: minus yaw rate times up cross lever arm."""
+    board = BOARD @ pose((0, 0, 0), (0, tilt, 0))
+    tip_world = board @ np.array([1.5, 0, 0])  # on the axis, with nothing to correct sideways
+    attitude = pose((0, 0, 0), (0, 0, turn))
+    lever_world = attitude.rotation @ AIRFRAME.body_from_tip.translation
+    body = pose(tip_world - lever_world, (0, 0, turn))
+    d = decided(board, body, age_ns=SETTINGS.filter.age_max_ns + 1)  # HOLD: no approach
+    yaw_rate = d.command.yaw_rate_radps
+    assert abs(yaw_rate) > 0.05
+    swing = yaw_rate * np.cross((0, 0, 1), lever_world)
+    np.testing.assert_allclose(d.command.velocity_world, -swing, atol=1e-9)
+
+
 @given(poses, poses, st.integers(0, 10 * SECOND), st.floats(0, 50), st.floats(-6, 2))
 def test_no_command_exceeds_the_limits(board, body, age_ns, range_m, magnitude):
     """Any poses, any age, any uncertainty: speed and yaw rate within the settings."""
@@ -105,7 +121,8 @@ def test_a_smaller_limit_is_kept_too():
 def test_the_choice_of_the_world_frame_changes_nothing_but_the_axes(seed):
     """Turn the world about z and move it: the command turns with it, everything else is equal."""
     rng = np.random.default_rng(seed)
-    board = pose(rng.uniform(-3, 3, 3), (0, 0, rng.uniform(-3, 3)))
+    tilted = pose((0, 0, 0), rng.normal(size=3) * 0.3)
+    board = pose(rng.uniform(-3, 3, 3), (0, 0, rng.uniform(-3, 3))) @ tilted
     in_front = np.array([rng.uniform(0.6, 3), *rng.uniform(-0.6, 0.6, 2)])
     facing = board @ pose(in_front, (0, 0, np.pi))
     body = facing @ pose((0, 0, 0), rng.normal(size=3) * 0.15)

@@ -46,19 +46,37 @@ def worker():
 
 
 @pytest.fixture
-def mortal():
-    """A worker for tests that close it."""
-    worker = reversing()
-    yield worker
-    worker.close()
+def start_worker():
+    """Starts workers that a test may close and open; a session that is left open never ends."""
+    started: list[ZenohWorker] = []
+
+    def start(name: str = "w1") -> ZenohWorker:
+        started.append(reversing(name))
+        return started[-1]
+
+    yield start
+    for worker in started:
+        worker.close()
 
 
 @pytest.fixture
-def drone(worker):
+def start_drone():
+    """Starts drones, and closes their links whatever becomes of the test."""
+    started: list[Drone] = []
+
+    def start(*endpoints: str) -> Drone:
+        started.append(Drone(*endpoints))
+        return started[-1]
+
+    yield start
+    for drone in started:
+        drone.link.close()
+
+
+@pytest.fixture
+def drone(worker, start_drone):
     """A drone connected to the worker that lives."""
-    drone = Drone(worker.endpoint)
-    yield drone
-    drone.link.close()
+    return start_drone(worker.endpoint)
 
 
 def test_a_frame_goes_to_its_worker_and_the_answer_comes_back_with_its_time(worker, drone):
@@ -87,9 +105,10 @@ def test_every_worker_whose_token_is_up_is_known_and_no_other(worker, drone):
     assert drone.sees("w1")
 
 
-def test_a_worker_that_dies_is_gone_and_is_served_again_when_it_is_back(mortal):
+def test_a_worker_that_dies_is_gone_and_is_served_again_when_it_is_back(start_worker, start_drone):
     """The same port, another session: the link reconnects by itself, the publisher still works."""
-    drone = Drone(mortal.endpoint)
+    mortal = start_worker()
+    drone = start_drone(mortal.endpoint)
     assert drone.sees("w1")
     drone.link.send("w1", b"first")
     assert mortal.frames.get(timeout=10) == b"first"
@@ -102,41 +121,39 @@ def test_a_worker_that_dies_is_gone_and_is_served_again_when_it_is_back(mortal):
     assert mortal.frames.get(timeout=10) == b"again"
     messages = [drone.got.get(timeout=10)[0] for _ in range(2)]
     assert messages == [b"tsrif", b"niaga"]
-    drone.link.close()
 
 
-def test_a_worker_that_is_not_there_yet_is_found_when_it_comes(mortal):
+def test_a_worker_that_is_not_there_yet_is_found_when_it_comes(start_worker, start_drone):
     """The drone may start first."""
+    mortal = start_worker()
     mortal.close()
-    drone = Drone(mortal.endpoint)
+    drone = start_drone(mortal.endpoint)
     assert drone.link.workers() == ()
     mortal.open()
     assert drone.sees("w1")
-    drone.link.close()
 
 
-def test_a_drone_is_at_home_with_two_workers_at_once(worker):
+def test_a_drone_is_at_home_with_two_workers_at_once(worker, start_worker, start_drone):
     """Each has its own endpoint; when one dies the other is still there."""
-    second = reversing("w2")
-    drone = Drone(worker.endpoint, second.endpoint)
+    second = start_worker("w2")
+    drone = start_drone(worker.endpoint, second.endpoint)
     assert drone.sees("w1", "w2")
     second.close()
     assert drone.sees("w1")
     drone.link.send("w1", b"still here")
     assert worker.frames.get(timeout=10) == b"still here"
-    drone.link.close()
 
 
-def test_a_worker_that_is_down_does_not_keep_the_drone_from_the_others(worker):
+def test_a_worker_that_is_down_does_not_keep_the_drone_from_the_others(
+    worker, start_worker, start_drone
+):
     """The first endpoint answers nobody; the second serves; the first comes later."""
-    late = reversing("w0")
+    late = start_worker("w0")
     late.close()
-    drone = Drone(late.endpoint, worker.endpoint)
+    drone = start_drone(late.endpoint, worker.endpoint)
     assert drone.sees("w1")
     late.open()
     assert drone.sees("w0", "w1")
-    drone.link.close()
-    late.close()
 
 
 def test_results_for_another_drone_do_not_come_in(worker, drone):
@@ -147,23 +164,16 @@ def test_results_for_another_drone_do_not_come_in(worker, drone):
     assert drone.got.get(timeout=10)[0] == b"for us"
 
 
-def test_a_message_that_is_too_long_is_cut_and_counted(worker):
+def test_a_message_that_is_too_long_is_cut_and_counted(worker, drone):
     """Five megabytes where sixteen kilobytes may be: one reject, no exception, and life goes on."""
-    rejected = queue.Queue()
     receiver = Receiver("d", 1, GateSettings(1, 1), Airframe(), lambda *_: None, lambda _: None)
-    link = ZenohLink("d", (worker.endpoint,), CLOCK)
-
-    def on_message(message: bytes, t4_ns: int) -> None:
-        receiver.on_message(message, t4_ns)
-        rejected.put(len(message))
-
-    link.start(on_message)
-    assert eventually(lambda: link.workers() == ("w1",))
+    assert drone.sees("w1")
     for message in (bytes(5_000_000), b"AERC\x01\x02\0\0" + bytes(5_000_000), b"short"):
-        worker.reply("d", message)
-    assert [rejected.get(timeout=10) for _ in range(3)] == [MAX_MESSAGE_BYTES + 1] * 2 + [5]
+        worker.reply("drone-1", message)
+        received, t4_ns = drone.got.get(timeout=10)
+        assert len(received) == min(len(message), MAX_MESSAGE_BYTES + 1)
+        receiver.on_message(received, t4_ns)
     assert receiver.rejects == {Reject.WRONG_MAGIC: 1, Reject.WRONG_SIZE: 1, Reject.TRUNCATED: 1}
-    link.close()
 
 
 def test_a_rogue_that_announces_thousands_of_workers_fills_no_memory(worker, drone):
@@ -186,7 +196,6 @@ def test_a_closed_link_drops_frames_and_counts_them(worker, drone):
     drone.link.send("w1", b"late")
     drone.link.send("never-seen", b"late")
     assert drone.link.send_errors == 2
-    drone.link.close()
 
 
 @pytest.mark.parametrize(
