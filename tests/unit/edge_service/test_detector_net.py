@@ -80,7 +80,7 @@ def test_a_fresh_net_expects_next_to_nothing():
 
 def test_every_class_has_its_own_box():
     """Cells answer differently per class: the distances do not share weights."""
-    distances = _trained_looking()(torch.rand(1, 3, 64, 64)).distances
+    distances = _trained_looking()(torch.rand(1, 3, 64, 64)).distances.detach()
     assert float((distances[:, :, 0] - distances[:, :, 1]).abs().max()) > 1e-3
 
 
