@@ -1,6 +1,7 @@
 """The ack clock: never more frames in the network than the window."""
 
 import pytest
+from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
@@ -51,6 +52,7 @@ class AckClockMachine(RuleBasedStateMachine):
 
 
 TestAckClock = AckClockMachine.TestCase
+TestAckClock.settings = settings(max_examples=30)
 
 
 def test_a_slot_is_freed_by_force_exactly_at_the_timeout():
