@@ -30,7 +30,9 @@ class ServiceProcess:
         self, folder: Path, name: str = "worker", env: Mapping[str, str] | None = None
     ) -> None:
         self.name = name
-        self._env = os.environ | (env or {})
+        # One thread: with more, torch waits in every layer for whichever of them has no core just
+        # now, and a machine shared with other work becomes a hundred times slower
+        self._env = os.environ | {"EDGE_THREADS": "1"} | (env or {})
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.http = f"127.0.0.1:{free_port()}"
         self.log = folder / f"{name}.log"

@@ -78,6 +78,11 @@ class ZenohLink:
             "scouting/gossip/enabled": False,
             "transport/shared_memory/enabled": False,
             "transport/link/tx/lease": 1000,
+            # A frame of three batches meets a queue of two: by default it is dropped when the
+            # sending thread gets no core for 1 ms. The ack clock bounds what can lie in the queue,
+            # so give it room for the whole window, and wait a little before a frame is lost.
+            "transport/link/tx/queue/size/data": 16,
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 20_000,
         }.items():
             config.insert_json5(key, json.dumps(value))
         try:

@@ -6,8 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
+from edge_service.detector.engine import TorchDetector
+from target_pose.nesting import group
+from target_pose.target import load_target
 from tests.service_process import service_process
 
 RECORDING = Path(__file__).parents[3] / "shared/data/kitchen-bullseye"
@@ -54,6 +59,24 @@ def test_target_is_found_where_it_is_and_not_where_it_is_not(run):
 def test_median_position_error_is_under_3_cm(run):
     """Against the recording's own truth, good to about 3 mm."""
     assert run[0]["truth"]["position_error_mm"]["p50"] < 30
+
+
+def test_no_ghost_in_the_same_room_without_the_target():
+    """The recording never quite loses the target: painted over, no frame may show one."""
+    detector, target = TorchDetector(threads=1), load_target()
+    ghosts = 0
+    for entry, name in zip(
+        json.loads((RECORDING / "targets.json").read_text()),
+        sorted((RECORDING / "rgb").iterdir()),
+        strict=True,
+    ):
+        color_rgb = cv2.imread(str(name), cv2.IMREAD_COLOR_RGB)
+        x0, y0, x1, y1 = (round(v) for v in entry["boxes_px"]["T_good"])
+        cover = np.zeros(color_rgb.shape[:2], np.uint8)
+        cover[max(0, y0 - 8) : y1 + 8, max(0, x0 - 8) : x1 + 8] = 1
+        bare = cv2.inpaint(color_rgb, cover, 3, cv2.INPAINT_TELEA)
+        ghosts += bool(group(detector.detect(bare), target, bare))
+    assert ghosts <= 2
 
 
 def test_every_frame_is_in_the_ledger_with_all_it_went_through(run):
