@@ -294,8 +294,13 @@ def _concluded(
         fit.information, fit.pose.normal, fit.pose.center, roll.sigma_rad
     )
     other = None if alternative is None else rolled_pose(alternative, roll.up)
-    if other is not None and alternative_share:
+    if alternative is not None and alternative_share:
+        # seen from the other fold, the same edges of the board mean another roll
+        turned = _roll(view, alternative)
+        other = rolled_pose(alternative, turned.up)
         covariance = widened(covariance, pose_offset(pose, other), alternative_share)
+        about_normal = np.concatenate([np.zeros(3), turned.sigma_rad * alternative.normal])
+        covariance = widened(covariance, about_normal, alternative_share)
     contradicts = depth is not None and method is Method.ELLIPSE
     if contradicts and ranges[1] is not None:
         offset = np.zeros(6)

@@ -59,6 +59,18 @@ def test_a_lens_without_inverse_says_nan_and_never_a_wrong_ray(coefficients, u, 
         np.testing.assert_allclose(pixels_from_rays(xy, camera), uv, atol=1e-3)
 
 
+def test_past_the_polynomial_s_turning_point_there_is_no_ray():
+    """That of r (1 - r^2 / 2) is 0.544 at r = 0.816: what is seen farther out came from nowhere."""
+    camera = intrinsics("brown_conrady", (-0.5, 0.0, 0.0, 0.0, 0.0))
+    for angle in np.linspace(0, 6, 13):
+        across = np.array([np.cos(angle), np.sin(angle)]) * (390, 392)
+        near = rays_from_pixels(np.array([0.54 * across + (321, 238)]), camera)
+        assert 0.7 < np.linalg.norm(near) < 0.817
+        for radius in np.linspace(0.56, 5.0, 60):
+            far = rays_from_pixels(np.array([radius * across + (321, 238)]), camera)
+            assert np.isnan(far).all()
+
+
 def test_a_point_behind_the_camera_has_no_pixel():
     uv = project(np.array([[0.1, 0.2, -1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), intrinsics("none"))
     assert np.isnan(uv[:2]).all()

@@ -135,17 +135,22 @@ def test_without_depth_the_circles_give_the_pose_and_the_inner_one_picks_the_fol
     assert found.range_plane_m is None
 
 
-@pytest.mark.parametrize("azimuth", np.linspace(0, 2 * math.pi, 7)[:-1])
-def test_far_away_the_folds_cannot_be_told_apart_and_the_covariance_spans_both(azimuth):
-    pose = facing_pose([0.2, 0.1, 3.4], 0.5, azimuth)
-    found = located(pose, rig(), depth=False, look=Look(noise=4.0, blur_px=0.8, supersample=4))
-    assert found.method is Method.ELLIPSE
-    assert found.alternative is not None
-    normals = [p.rotation[:, 0] for p in (found.camera_from_target, found.alternative)]
-    assert max(n @ pose.rotation[:, 0] for n in normals) > math.cos(math.radians(8))
-    assert error(found, pose)[3] < CHI2_6_999 or not found.ambiguous
-    if found.ambiguous:
-        assert error(found, pose)[3] < CHI2_6_999
+def test_far_away_the_folds_cannot_be_told_apart_and_the_covariance_spans_both():
+    unsure = 0
+    for azimuth in np.linspace(0, 2 * math.pi, 7)[:-1]:
+        pose = facing_pose([0.2, 0.1, 4.2], 0.6, azimuth)
+        look = Look(noise=6.0, blur_px=1.0, supersample=4)
+        found = located(pose, rig(), depth=False, look=look)
+        assert found.method is Method.ELLIPSE
+        assert found.alternative is not None
+        normals = [p.rotation[:, 0] for p in (found.camera_from_target, found.alternative)]
+        assert max(n @ pose.rotation[:, 0] for n in normals) > math.cos(math.radians(8))
+        if found.ambiguous:
+            unsure += 1
+            assert error(found, pose)[3] < CHI2_6_999
+            # at the least sure that it may be, the other fold is one in ninety
+            assert error(found, found.alternative)[3] < 92
+    assert unsure >= 2
 
 
 @pytest.mark.parametrize("azimuth", np.linspace(0, 2 * math.pi, 7)[:-1])
