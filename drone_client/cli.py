@@ -174,7 +174,8 @@ def _short(value: object) -> str:
 
 def main() -> None:
     """Run the command; a user's mistake ends in one line and exit code 2, never a traceback."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    for sign in (signal.SIGINT, signal.SIGTERM):  # a script's background job is born deaf to SIGINT
+        signal.signal(sign, _interrupt)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line is ours
     try:
         app(standalone_mode=True)
@@ -187,7 +188,7 @@ def main() -> None:
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    """SIGTERM ends a run as Ctrl-C does: with a whole ledger."""
+    """Either signal ends a run with a whole ledger."""
     raise KeyboardInterrupt
 
 

@@ -44,9 +44,11 @@ def as_it_was(monkeypatch):
         if name.startswith("DRONE_"):
             monkeypatch.delenv(name)
     monkeypatch.setenv("COLUMNS", "100")
-    handler, level = signal.getsignal(signal.SIGTERM), cv2.utils.logging.getLogLevel()
+    handlers = {sign: signal.getsignal(sign) for sign in (signal.SIGINT, signal.SIGTERM)}
+    level = cv2.utils.logging.getLogLevel()
     yield
-    signal.signal(signal.SIGTERM, handler)
+    for sign, handler in handlers.items():
+        signal.signal(sign, handler)
     cv2.utils.logging.setLogLevel(level)
 
 
@@ -257,6 +259,7 @@ def test_a_signal_ends_a_replay_with_a_whole_ledger(tmp_path, worker, sign):
         text, err = process.communicate(timeout=60)
     finally:
         process.kill()
+        process.communicate()
     assert (process.returncode, err) == (130, "")
     frames = lines(ledger)
     assert sorted(f["sequence"] for f in frames) == list(range(len(frames)))
