@@ -7,6 +7,7 @@ from importlib import metadata
 from fastapi import FastAPI
 from fastapi.responses import HTMLResponse
 
+from edge_service.http import examples
 from edge_service.http.health import health_routes
 from edge_service.http.localize import localize_routes
 from edge_service.http.page import page
@@ -40,4 +41,11 @@ def create_app(state: ServiceState) -> FastAPI:
         """The interface on one page, from its own description."""
         return HTMLResponse(page(app.openapi()))
 
+    _add_examples(app)
     return app
+
+
+def _add_examples(app: FastAPI) -> None:
+    """Put in the examples whose nulls FastAPI would leave out."""
+    answer = app.openapi()["paths"]["/v1/localize"]["post"]["responses"]["200"]
+    answer["content"]["application/json"]["examples"] = examples.LOCALIZE_EXAMPLES

@@ -73,7 +73,16 @@ LOCALIZED: dict[str, Any] = {
         "method": "fused",
         "roll_source": "edges",
         "ambiguous": False,
-        "alternative": None,
+        "alternative": {
+            "translation_m": [0.341, 0.171, 2.211],
+            "q_wxyz": [0.28, 0.42, 0.63, -0.59],
+            "matrix": [
+                [-0.49, 0.86, -0.17, 0.341],
+                [0.2, -0.08, -0.98, 0.171],
+                [-0.85, -0.51, -0.13, 2.211],
+                [0.0, 0.0, 0.0, 1.0],
+            ],
+        },
         "score": 0.93,
         "boxes": [
             {"level": "T_good", "x0": 353.4, "y0": 232.6, "x1": 469.3, "y1": 335.2, "score": 0.94}
@@ -100,6 +109,8 @@ NOTHING: dict[str, Any] = {
     "model": "5f2a...",
 }
 
+LOCALIZE_EXAMPLES = {"a target": {"value": LOCALIZED}, "no target": {"value": NOTHING}}
+
 
 def _error(description: str, field: str | None, detail: str) -> dict[str, Any]:
     example = {"field": field, "detail": detail}
@@ -111,16 +122,7 @@ def _error(description: str, field: str | None, detail: str) -> dict[str, Any]:
 
 
 LOCALIZE_RESPONSES: dict[int | str, dict[str, Any]] = {
-    200: {
-        "content": {
-            "application/json": {
-                "examples": {
-                    "a target": {"value": LOCALIZED},
-                    "no target": {"value": NOTHING},
-                }
-            }
-        }
-    },
+    200: {"description": "What was found, or why nothing was."},
     408: _error("The upload took too long.", None, "the upload took too long"),
     413: _error("The upload is too large.", None, "the upload is over 24 MB"),
     422: _error(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 from typing import Any
 
 _STYLE = (
@@ -12,6 +13,9 @@ _STYLE = (
     "pre{padding:.7rem;overflow:auto}code{padding:0 .2rem}h2{margin-top:2.5rem;border-top:1px "
     "solid #ddd;padding-top:1rem}summary{cursor:pointer}dt{font-weight:600}"
 )
+
+_INNER_LIST = re.compile(r"\[[^\[\]{}]*\]")
+"""A list of numbers, which reads better on one line."""
 
 
 def page(openapi: dict[str, Any]) -> str:
@@ -73,8 +77,10 @@ def _response(status: str, response: dict[str, Any]) -> str:
 
 
 def _example(value: Any) -> str:
-    text = value if isinstance(value, str) else json.dumps(value, indent=2)
-    return f"<pre>{_text(text)}</pre>"
+    if not isinstance(value, str):
+        indented = json.dumps(value, indent=2)
+        value = _INNER_LIST.sub(lambda m: " ".join(m[0].split()), indented)
+    return f"<pre>{_text(value)}</pre>"
 
 
 def _prose(markdown: str) -> str:
