@@ -27,7 +27,6 @@ from drone_client.plot import PLOT_NAME
 from drone_client.replay import SUMMARY_NAME, ReplayOptions
 from drone_client.replay import replay as run_replay
 from drone_client.settings import ClientSettings, about, known_name, load_settings
-from drone_client.snap import snap as ask
 from drone_client.source.replay import open_recording
 from drone_client.truth import load_truth
 from rgbd_wire.clock import MonotonicClock
@@ -81,6 +80,9 @@ def replay(
     plot: Annotated[
         bool, typer.Option("--plot/--no-plot", help="draw run.png beside the ledger")
     ] = True,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="an earlier run in the same folder may go")
+    ] = False,
 ) -> None:
     """Play a recording through the whole chain, as if it were flown now.
 
@@ -102,7 +104,7 @@ def replay(
     source = open_recording(folder, camera)
     body = Airframe() if airframe is None else load_airframe(airframe)
     entries = () if truth is None else load_truth(truth, len(source))
-    options = ReplayOptions(out, as_fast_as_possible, entries, plot)
+    options = ReplayOptions(out, as_fast_as_possible, entries, plot, overwrite)
     clock = MonotonicClock()
     title = escape(folder.resolve().name)
     with _progress() as progress:
@@ -140,6 +142,8 @@ def snap(
 
     Example: drone-client snap color.jpg depth.png --camera camera.json
     """
+    from drone_client.snap import snap as ask  # httpx comes with the extra "drone"
+
     answer = ask(url, color, depth, camera, timeout_s)
     if as_json:
         print(json.dumps(answer, indent=2))
@@ -182,6 +186,11 @@ def main() -> None:
     except (ClientError, WireError) as error:
         line = " ".join(str(error).split())
         _errors.print(f"drone-client: {line}", style="red", markup=False, soft_wrap=True)
+        sys.exit(2)
+    except ModuleNotFoundError as error:
+        _errors.print(
+            f"drone-client: package {error.name} is missing; install aerial-contact[drone]"
+        )
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)

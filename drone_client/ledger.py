@@ -58,10 +58,11 @@ class Ledger:
     ``lost_lines``.
 
     Raises:
-        OutputError: the folder cannot be made or written at the start.
+        OutputError: the folder cannot be made or written at the start, or holds an earlier run,
+            which is evidence and goes only when ``overwrite`` says so.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, overwrite: bool = False) -> None:
         self.lost_lines = 0
         self.fates: Counter[Fate] = Counter()
         self.settled = threading.Event()
@@ -71,6 +72,11 @@ class Ledger:
         self._files: dict[str, TextIO] = {}
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            earlier = folder / LEDGER_NAME
+            if not overwrite and earlier.exists() and earlier.stat().st_size:
+                raise OutputError(
+                    f"folder {folder} holds an earlier run: give another --out, or --overwrite"
+                )
             for name in (LEDGER_NAME, EVENTS_NAME, TICKS_NAME):
                 self._files[name] = (folder / name).open("w", encoding="utf-8")
         except FileExistsError:

@@ -42,6 +42,8 @@ class ReplayOptions:
     """Each frame after the last one's answer, instead of at the recording's speed."""
     truth: tuple[TruthEntry, ...] = ()
     plot: bool = True
+    overwrite: bool = False
+    """An earlier run in ``out`` may go."""
 
 
 def flight_settings(settings: ClientSettings) -> FlightSettings:
@@ -99,7 +101,7 @@ def replay(
         ClientError: the output folder cannot be written, a picture cannot be read, or there is no
             worker.
     """
-    ledger = Ledger(options.out)
+    ledger = Ledger(options.out, overwrite=options.overwrite)
     stop = threading.Event()
     playback: Playback
     if options.as_fast_as_possible:

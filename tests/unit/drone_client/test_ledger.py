@@ -227,3 +227,16 @@ def test_nothing_is_written_after_closing(tmp_path):
     ledger.tick({"t_ns": 1})
     assert len(strictly(tmp_path / LEDGER_NAME)) == 1
     assert strictly(tmp_path / EVENTS_NAME) == []
+
+
+def test_an_earlier_run_is_evidence_and_goes_only_when_told(tmp_path):
+    """A folder with a ledger is refused in one line that says what to do, and left as it is."""
+    first = Ledger(tmp_path)
+    first.captured(FrameEntry(0, "a", 0))
+    first.close()
+    before = (tmp_path / LEDGER_NAME).read_text()
+    with pytest.raises(OutputError, match="earlier run.*--overwrite"):
+        Ledger(tmp_path)
+    assert (tmp_path / LEDGER_NAME).read_text() == before
+    Ledger(tmp_path, overwrite=True).close()
+    assert (tmp_path / LEDGER_NAME).read_text() == ""
