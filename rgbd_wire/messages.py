@@ -101,7 +101,7 @@ class Outcome(StrEnum):
     """A newer frame of the same drone came before this one's turn."""
     BAD_FRAME = "bad_frame"
     OVERLOADED = "overloaded"
-    """More drones than this worker serves."""
+    """More drones than this worker serves, or the frame waited past its budget."""
     DRAINING = "draining"
     FAILED = "failed"
     """A fault of the worker's own; its log has the details."""
