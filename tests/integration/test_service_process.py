@@ -23,7 +23,8 @@ from rgbd_wire.frame_codec import FrameStamp, compress, pack
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import Outcome
 from rgbd_wire.streams import worker_key
-from tests.integration.zenoh_drone import flying, free_port
+from tests.integration.zenoh_drone import flying
+from tests.service_process import free_port
 from tests.unit.edge_service.edge_fakes import SECOND_NS, message
 
 RECORDING = Path(__file__).parents[2] / "examples" / "recordings" / "rendered-approach"

@@ -18,7 +18,8 @@ from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.envelope import MAX_BODY_BYTES, PREFIX_BYTES, Kind
 from rgbd_wire.messages import Ack, Outcome
 from rgbd_wire.streams import worker_key
-from tests.integration.zenoh_drone import flying, free_port, open_session
+from tests.integration.zenoh_drone import flying, open_session
+from tests.service_process import free_port
 from tests.unit.edge_service.edge_fakes import (
     SECOND_NS,
     HeldDetector,

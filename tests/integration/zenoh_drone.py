@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import threading
 from contextlib import contextmanager
 
@@ -14,13 +13,6 @@ from rgbd_wire.messages import Ack, Result, decode_ack, decode_result
 from rgbd_wire.streams import FRAME, RESULT, worker_key
 
 TIMEOUT_S = 30.0
-
-
-def free_port():
-    """A TCP port of the loopback that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def open_session(mode, connect=(), listen=()):
