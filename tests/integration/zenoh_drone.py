@@ -1,4 +1,4 @@
-"""A drone's end of the link, as bare as it can be, and free ports to meet on."""
+"""A drone's end of the link, as bare as it can be."""
 
 from __future__ import annotations
 
