@@ -31,7 +31,8 @@ def plot_run(
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import
     from matplotlib.figure import Figure
 
-    start_ns = min([f["t_capture_ns"] for f in frames] + [t["t_ns"] for t in ticks[:1]], default=0)
+    stamps = [f["t_capture_ns"] for f in frames] or [t["t_ns"] for t in ticks]
+    start_ns = min(stamps, default=0)  # waiting for a worker is not worth half a picture
 
     def seconds(t_ns: int) -> float:
         return (t_ns - start_ns) / 1e9
@@ -76,9 +77,10 @@ def plot_run(
         ]
         if times:
             delays.plot(times, [0.0] * len(times), "|", color=color, ms=12, mew=2, label=fate)
+    delays.set_title("what the link delivered, against the gate", fontsize=9, loc="left")
     delays.set_ylabel("ms")
     delays.set_ylim(bottom=-0.05 * age_max_ms)
-    delays.legend(fontsize=7, ncols=4, loc="upper right")
+    delays.legend(fontsize=7, ncols=4, loc="best")
 
     times = [seconds(t["t_ns"]) for t in ticks]
 
@@ -90,18 +92,23 @@ def plot_run(
     barrier.plot(times, column("h_robust_m"), color="tab:orange", label="h that is certain")
     barrier.axhline(0.0, color="black", lw=0.8)
     _shade(barrier, times, [t.get("freshness") for t in ticks])
+    barrier.set_title("the barrier: safe above 0", fontsize=9, loc="left")
     barrier.set_ylabel("m")
-    barrier.legend(fontsize=7, loc="upper right")
+    barrier.legend(fontsize=7, loc="best")
 
     for index, axis in enumerate("xyz"):
-        tip.plot(times, column("tip_target_m", index), label=f"tip {axis} in the target's frame")
-        commands.plot(times, column("command_mps", index), label=f"commanded velocity {axis}")
+        tip.plot(times, column("tip_target_m", index), label=f"tip {axis}")
+        commands.plot(times, column("command_mps", index), label=f"velocity {axis}")
+    tip.set_title("end of the arm, seen from the target", fontsize=9, loc="left")
     tip.set_ylabel("m")
-    tip.legend(fontsize=7, loc="upper right")
+    tip.legend(fontsize=7, loc="best")
     commands.plot(times, column("yaw_rate_radps"), color="tab:gray", label="yaw rate [rad/s]")
+    commands.set_title("what the drone was told, in the world", fontsize=9, loc="left")
     commands.set_ylabel("m/s")
+    if frames:
+        commands.set_xlim(left=-0.2)
     commands.set_xlabel("s")
-    commands.legend(fontsize=7, loc="upper right")
+    commands.legend(fontsize=7, loc="best")
     for axes in (delays, barrier, tip, commands):
         axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
