@@ -157,37 +157,33 @@ def _outline(
     """The circles as the pose predicts them in the picture, with normals and curvatures."""
     right, up = orthogonal_to(pose.normal)
     px_per_m = math.sqrt(intrinsics.fx * intrinsics.fy) / length(pose.center)
-    parts = []
-    for circle in circles:
-        around = 2 * math.pi * circle.radius_m * px_per_m
-        count = int(min(max(around, MIN_POINTS), MAX_POINTS))
-        angle = np.arange(count) * (2 * math.pi / count)
-        rim = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up
-        uv = project(pose.center + circle.radius_m * rim, intrinsics)
-        nearby = project(pose.center + (1 - _NEARBY) * circle.radius_m * rim, intrinsics)
-        # derivatives around the closed curve by central differences: exact enough at 24 points
-        h = 2 * math.pi / count
-        ahead, behind = np.roll(uv, -1, axis=0), np.roll(uv, 1, axis=0)
-        first = (ahead - behind) / (2 * math.sin(h))
-        second = (ahead - 2 * uv + behind) / (2 - 2 * math.cos(h))
-        speed = np.hypot(first[:, 0], first[:, 1])
-        turn = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-        normal = np.stack([first[:, 1], -first[:, 0]], axis=1) / np.maximum(speed, 1e-9)[:, None]
-        normal *= np.sign(turn)[:, None]
-        px_per_m_across = ((uv - nearby) * normal).sum(axis=1) / (_NEARBY * circle.radius_m)
-        parts.append(
-            (
-                uv,
-                normal,
-                np.abs(turn) / np.maximum(speed, 1e-9) ** 3,
-                speed * h,
-                px_per_m_across * min(circle.clearance_m, 2 * circle.radius_m),
-                np.full(count, circle.radius_m),
-                np.full(count, 1.0 if circle.dark_inside else -1.0),
-            )
-        )
-    return _Outline(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-_NEARBY = 0.02
-"""Step inwards, in radii, that measures how many pixels a metre has across the edge."""
+    radius_m = np.array([circle.radius_m for circle in circles])
+    around = 2 * math.pi * float(radius_m.max()) * px_per_m
+    count = int(min(max(around, MIN_POINTS), MAX_POINTS))
+    angle = np.arange(count) * (2 * math.pi / count)
+    rim = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up
+    points = pose.center + radius_m[:, None, None] * rim
+    pixels = project(np.concatenate([pose.center[None], points.reshape(-1, 3)]), intrinsics)
+    center, uv = pixels[0], pixels[1:].reshape(len(circles), count, 2)
+    # derivatives around the closed curves by central differences: exact for ellipses
+    h = 2 * math.pi / count
+    ahead, behind = np.roll(uv, -1, axis=1), np.roll(uv, 1, axis=1)
+    first = (ahead - behind) / (2 * math.sin(h))
+    second = (ahead - 2 * uv + behind) / (2 - 2 * math.cos(h))
+    speed = np.maximum(np.hypot(first[..., 0], first[..., 1]), 1e-9)
+    turn = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+    outwards = np.sign(turn) / speed
+    normal = np.stack([first[..., 1] * outwards, -first[..., 0] * outwards], axis=-1)
+    # how many pixels a metre has across the edge, but for perspective within the disc
+    px_per_m_across = ((uv - center) * normal).sum(axis=-1) / radius_m[:, None]
+    clearance_m = np.array([min(c.clearance_m, 2 * c.radius_m) for c in circles])
+    dark_side = np.array([1.0 if circle.dark_inside else -1.0 for circle in circles])
+    return _Outline(
+        uv=uv.reshape(-1, 2),
+        normal=normal.reshape(-1, 2),
+        curvature=(np.abs(turn) / speed**3).ravel(),
+        spacing_px=(speed * h).ravel(),
+        clearance_px=(px_per_m_across * clearance_m[:, None]).ravel(),
+        radius_m=np.repeat(radius_m, count),
+        dark_side=np.repeat(dark_side, count),
+    )

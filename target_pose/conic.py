@@ -53,9 +53,10 @@ def circle_poses(conic: Array, radius_m: float) -> tuple[CirclePose, CirclePose]
         The two poses, equal where the circle is seen along its axis; None if the conic is no
         ellipse in front of the camera.
     """
-    if not np.isfinite(conic).all():
+    scale = float(np.abs(conic).max())
+    if not 0 < scale < math.inf:  # false for NaN, too
         return None
-    eigenvalues, axes = np.linalg.eigh(conic / np.abs(conic).max())
+    eigenvalues, axes = np.linalg.eigh(conic / scale)
     if eigenvalues[1] < 0:
         eigenvalues, axes = -eigenvalues[::-1], axes[:, ::-1]
     l3, l2, l1 = (float(e) for e in eigenvalues)
@@ -64,9 +65,9 @@ def circle_poses(conic: Array, radius_m: float) -> tuple[CirclePose, CirclePose]
     major, minor = axes[:, 2], axes[:, 0]
     g = math.sqrt((l2 - l3) / (l1 - l3))
     h = math.sqrt(max(l1 - l2, 0.0) / (l1 - l3))
-    scale = radius_m / math.sqrt(-l1 * l3)
+    far = radius_m / math.sqrt(-l1 * l3)
     first, second = (
-        _facing(scale * (s * l3 * h * major - l1 * g * minor), s * h * major - g * minor)
+        _facing(far * (s * l3 * h * major - l1 * g * minor), s * h * major - g * minor)
         for s in (1.0, -1.0)
     )
     if min(first.center[2], second.center[2]) <= 0:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from target_pose.profiles import blur_variance, gray_values, slopes, strongest_edges
-from target_pose.tukey import RobustFit, fit_robust
+from target_pose.tukey import RobustFit, fit_robust, solve_weighted
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -125,7 +125,8 @@ def _fit_polar(reach: Array, unit: Array, floor: float) -> RobustFit:
     typical = float(np.median(reach))
     start = np.array([1.0, 0.0, 1.0, 0.0, 0.0]) / typical**2
     # least absolute deviations first: the biweight alone would hold on to a poor start
-    return fit_robust(rows, values, _least_absolute(rows, values, start, floor), floor)
+    start = _least_absolute(rows, values, start, floor)
+    return fit_robust(rows, values, start, floor, iterations=5)
 
 
 def _rim(conic: Array) -> Array | None:
@@ -143,11 +144,9 @@ def _rim(conic: Array) -> Array | None:
 
 def _least_absolute(design: Array, values: Array, start: Array, floor: float) -> Array:
     x = start
-    for _ in range(6):
+    for _ in range(4):
         weights = 1 / np.maximum(np.abs(values - design @ x), floor)
-        weighted = design.T * weights
-        ridge = 1e-6 * np.eye(len(x)) * weights.sum()
-        x = np.linalg.solve(weighted @ design + ridge, weighted @ values)
+        x = solve_weighted(design, values, weights)
     return x
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TypeAlias
 
 import numpy as np
@@ -28,8 +29,9 @@ def fit_ellipse(xy: Array, weights: Array | None = None) -> Array | None:
     if np.count_nonzero(used) < MIN_POINTS or not np.isfinite(xy[used]).all():
         return None
     xy, weights = xy[used], weights[used]
-    center = np.average(xy, axis=0, weights=weights)
-    spread = float(np.sqrt(np.average(np.square(xy - center).sum(axis=1), weights=weights)))
+    total = float(weights.sum())
+    center = weights @ xy / total
+    spread = math.sqrt(float(weights @ np.square(xy - center).sum(axis=1)) / total)
     if spread < 1e-12:
         return None
     x, y = ((xy - center) / spread).T

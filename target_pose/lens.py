@@ -13,6 +13,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 NEWTON_STEPS = 12
 """Real lenses take three; the rest is for strong ones near their border."""
+LAST_STEP = 1e-6
+"""Step [focal lengths] after which Newton's next one would be no more than rounding."""
 INVERSE_TOLERANCE = 1e-8
 """Residual [focal lengths] past which a point has no inverse: 1e-5 px."""
 
@@ -93,7 +95,7 @@ def _undistorted(seen: Array, coefficients: tuple[float, ...]) -> Array:
             step_y = (j_xx * off[..., 1] - j_xy * off[..., 0]) / det
             xy[..., 0] -= step_x
             xy[..., 1] -= step_y
-            if max(np.abs(step_x).max(initial=0), np.abs(step_y).max(initial=0)) < 1e-12:
+            if max(np.abs(step_x).max(initial=0), np.abs(step_y).max(initial=0)) < LAST_STEP:
                 break
         miss = np.abs(_distorted(xy, coefficients) - seen).max(axis=-1, initial=0)
         bad = ~(miss <= INVERSE_TOLERANCE) | ~(det > 0) | ~(j_xx > 0)

@@ -24,7 +24,7 @@ TILT_SIGMA_RAD = 1e-2
 recording of a structured-light camera the plane's normal was 0.9 degrees off in the median."""
 NOISE_FLOOR = 2e-4
 """Least standard deviation of inverse depth [1/m] believed; a step of 1 mm at 1.5 m has 1.3e-4."""
-TRIPLES = 32
+TRIPLES = 24
 CELLS = 6
 """Cells per side in which the residuals' correlation is measured."""
 CELL_BORDER_LOSS = 1.4

@@ -31,6 +31,7 @@ MIN_UP_SINE = 0.35
 MIN_BOARD_PX = 24.0
 RAYS = 64
 SAMPLES = 30
+KNOTS = 8
 MIN_SLOPE = 1.0
 """Mean slope across the edges, in grey values per sample, that counts as an edge."""
 OUTERMOST = 1.5
@@ -125,9 +126,11 @@ def _edge_turn(
     inner = 0.5 * (half + target.discs[0].diameter_m / 2)
     radii = np.linspace(inner, OUTERMOST * half, SAMPLES)
     right, up = axes
-    rim = np.cos(_ANGLES)[:, None] * up + np.sin(_ANGLES)[:, None] * right
-    points = board.center + radii[None, :, None] * rim[:, None, :]
-    uv = project(points.reshape(-1, 3), intrinsics).reshape(RAYS, SAMPLES, 2)
+    rim = _COSINES[:, None] * up + _SINES[:, None] * right
+    # through the lens at a few knots, linear in between: within a tenth of a pixel
+    knots = np.linspace(inner, OUTERMOST * half, KNOTS)
+    points = board.center + knots[None, :, None] * rim[:, None, :]
+    uv = _BETWEEN_KNOTS @ project(points.reshape(-1, 3), intrinsics).reshape(RAYS, KNOTS, 2)
     height, width = image.shape
     last = (width - 1, height - 1)
     slope = slopes(gray_values(image, np.clip(uv, 0, last)))
@@ -137,7 +140,7 @@ def _edge_turn(
     slope = np.where(seen, slope, 0.0)
     first = (SAMPLES - slope.shape[1]) // 2
     step = float(radii[1] - radii[0])
-    crossing = half / np.cos(_OFF_NORMAL)
+    crossing = half * _STRETCH
     index = np.clip(np.rint((crossing - radii[0]) / step).astype(np.intp) - first, 0, None)
     index = np.minimum(index, slope.shape[1] - 1)
     across = slope[_ROWS, index]
@@ -161,7 +164,7 @@ def _refined(
 ) -> tuple[float, float] | None:
     """The turn [rad] fitted to the crossings near a candidate's edges, and its deviation."""
     off_normal = _OFF_NORMAL[best]
-    crossing = half / np.cos(off_normal)
+    crossing = half * _STRETCH[best]
     signs = np.sign(sides)[_SIDE_OF[best]]
     offset = np.arange(slope.shape[1]) * step + first_radius - crossing[:, None]
     window = np.where(np.abs(offset) < 5 * step, slope * signs[:, None], 0.0)
@@ -174,7 +177,7 @@ def _refined(
     miss = reach[known] * np.cos(off_normal[known]) - half
     lever = reach[known] * np.sin(off_normal[known])  # miss = -turn * lever to first order
     design = np.stack([lever, np.ones_like(lever)], axis=1)
-    fit = fit_robust(design, miss, np.zeros(2), 0.05 * step)
+    fit = fit_robust(design, miss, np.zeros(2), 0.05 * step, iterations=5)
     if fit.sigma > MAX_SPREAD_STEPS * step or np.count_nonzero(fit.weights) < RAYS / 3:
         return None
     turn = float(_TURNS[best] - fit.coefficients[0])
@@ -185,10 +188,15 @@ def _refined(
 
 
 _ANGLES = np.arange(RAYS) * (2 * math.pi / RAYS)
+_COSINES, _SINES = np.cos(_ANGLES), np.sin(_ANGLES)
+_BETWEEN_KNOTS = np.maximum(
+    1 - np.abs(np.linspace(0, KNOTS - 1, SAMPLES)[:, None] - np.arange(KNOTS)), 0.0
+)
 _TURNS = np.radians(np.arange(-45.0, 45.0, 2.5))
 _ROWS = np.arange(RAYS)
 # the angle of each ray to the normal of the side that it crosses, and that side, per turn
 _FROM_TURN = (_ANGLES[None, :] - _TURNS[:, None] + math.pi / 4) % (2 * math.pi)
 _SIDE_OF = np.minimum((_FROM_TURN / (math.pi / 2)).astype(np.intp), 3)
 _OFF_NORMAL = _FROM_TURN - _SIDE_OF * (math.pi / 2) - math.pi / 4
+_STRETCH = 1 / np.cos(_OFF_NORMAL)
 _ON_SIDE = np.arange(4)[:, None, None] == _SIDE_OF

@@ -64,7 +64,7 @@ def test_the_aligned_picture_is_that_of_a_loop_over_pixels(camera):
 
 
 @pytest.mark.parametrize("camera", [rig(), rig("brown_conrady"), rig("none"), aligned_rig()])
-@settings(deadline=None, max_examples=8)
+@settings(deadline=None, max_examples=20)
 @given(st.floats(-8, 26), st.floats(-8, 20), st.floats(0, 24), st.floats(0, 24), st.integers(0, 99))
 def test_no_point_of_the_box_is_missed_and_none_is_added(camera, x0, y0, w, h, seed):
     depth = random_depth(camera, seed)
@@ -73,7 +73,8 @@ def test_no_point_of_the_box_is_missed_and_none_is_added(camera, x0, y0, w, h, s
     inside = [
         point
         for point, (u, v) in naive(depth, camera)
-        if box.x0 <= u <= box.x1 and box.y0 <= v <= box.y1
+        if max(box.x0, -0.5) <= u <= min(box.x1, camera.color.width - 0.5)
+        and max(box.y0, -0.5) <= v <= min(box.y1, camera.color.height - 0.5)
     ]
     assert len(found.points) == len(inside)
     if inside:

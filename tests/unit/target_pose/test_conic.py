@@ -95,6 +95,5 @@ def test_the_other_fold_of_the_other_fold_is_the_first(case):
 
 def test_a_conic_that_is_no_ellipse_has_no_pose():
     """A hyperbola's cone holds circles, too, but not in front of the camera alone."""
-    for conic in (np.diag([1.0, 1.0, 1.0]), np.zeros((3, 3)) + np.diag([1.0, 0.0, -1.0])):
+    for conic in (np.eye(3), np.diag([1.0, 0.0, -1.0]), np.zeros((3, 3)), np.full((3, 3), np.nan)):
         assert circle_poses(conic, 0.1) is None
-    assert circle_poses(np.full((3, 3), np.nan), 0.1) is None
