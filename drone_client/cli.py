@@ -31,6 +31,7 @@ from drone_client.source.replay import open_recording
 from drone_client.truth import load_truth
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.errors import WireError
+from rgbd_wire.messages import Outcome
 
 app = typer.Typer(
     help="The onboard side: frames up, fresh target poses down, safe velocity commands out.",
@@ -42,6 +43,7 @@ app = typer.Typer(
     + ", ".join(known_name(field) for field in ClientSettings.model_fields),
 )
 _errors = Console(stderr=True)
+EXIT_NO_TARGET = 1
 
 
 @app.command(no_args_is_help=True)
@@ -125,6 +127,8 @@ def replay(
         print(json.dumps(summary, indent=2))
     else:
         _print_summary(summary, options)
+    if summary["unwritten"]:
+        raise typer.Exit(2)
     if summary["interrupted"]:
         raise typer.Exit(130)
 
@@ -140,6 +144,8 @@ def snap(
 ) -> None:
     """Ask a service over HTTP where the target is in one picture.
 
+    Exit code 1 when there is none.
+
     Example: drone-client snap color.jpg depth.png --camera camera.json
     """
     from drone_client.snap import snap as ask  # httpx comes with the extra "drone"
@@ -147,11 +153,13 @@ def snap(
     answer = ask(url, color, depth, camera, timeout_s)
     if as_json:
         print(json.dumps(answer, indent=2))
-        return
-    table = Table("", "", title=Text(color.name), show_header=False)
-    for key, value in _leaves(answer):
-        table.add_row(Text(key), Text(value))
-    Console().print(table)
+    else:
+        table = Table("", "", title=Text(color.name), show_header=False)
+        for key, value in _leaves(answer):
+            table.add_row(Text(key), Text(value))
+        Console().print(table)
+    if answer.get("outcome") != Outcome.TARGET.value:
+        raise typer.Exit(EXIT_NO_TARGET)
 
 
 def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
@@ -245,16 +253,37 @@ def _print_summary(summary: dict[str, Any], options: ReplayOptions) -> None:
         )
     if summary["rejected_messages"]:
         rows["bad messages"] = counts("rejected_messages")
-    if summary["lost_ledger_lines"]:
-        rows["LOST LINES"] = f"{summary['lost_ledger_lines']} (is the disk full?)"
+    rows |= _warnings(summary)
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, value in rows.items():
-        table.add_row(f"[bold]{key}[/bold]", value)
+        table.add_row(Text(key, style="bold"), Text(value))
     console = Console()
     console.print(table)
     files = [LEDGER_NAME, SUMMARY_NAME, *([PLOT_NAME] if options.plot else [])]
     written = ", ".join(str(options.out / f) for f in files)
     console.print(f"written: {written}", markup=False, soft_wrap=True)
+
+
+def _warnings(summary: dict[str, Any]) -> dict[str, str]:
+    """What a person has to know of a run, and would not see in its counts."""
+    rows = {}
+    if summary["interrupted"]:
+        rows["INTERRUPTED"] = "the recording was not played to its end"
+    if n := summary["foreign_messages"]:
+        rows["SAME NAME"] = (
+            f"{n} answers were for another client called {summary['drone']!r}: the two displace "
+            "each other's frames; give each its own --name"
+        )
+    if n := summary["updates"].get("no_pose"):
+        rows["NO POSE"] = (
+            f"{n} targets were not used, since the drone did not know where it was: "
+            "groundtruth.txt is missing, or does not cover the recording"
+        )
+    if n := summary["lost_ledger_lines"]:
+        rows["LOST LINES"] = f"{n} (is the disk full?)"
+    if summary["unwritten"]:
+        rows["UNWRITTEN"] = "; ".join(summary["unwritten"])
+    return rows
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from drone_client.airframe import Airframe
 from drone_client.autopilot.memory import MemoryAutopilot
 from drone_client.cbf.settings import FilterSettings
 from drone_client.control import ControlSettings
-from drone_client.errors import LinkError, OutputError
+from drone_client.errors import LinkError
 from drone_client.flight import Flight, FlightSettings, Tally
 from drone_client.gate import GateSettings
 from drone_client.ledger import LEDGER_NAME, TICKS_NAME, Ledger
@@ -138,39 +138,50 @@ def replay(
     finally:
         stop.set()
         flight.stop()
-    return _finish(flight, ledger, settings, options, interrupted)
+    summary = _summary(flight, ledger, settings, options, interrupted)
+    _write(summary, settings, options)
+    return summary
 
 
-def _finish(
+def _summary(
     flight: Flight,
     ledger: Ledger,
     settings: ClientSettings,
     options: ReplayOptions,
     interrupted: bool,
 ) -> dict[str, Any]:
+    frames = read_lines(options.out / LEDGER_NAME)
+    ticks = read_lines(options.out / TICKS_NAME)
+    return {
+        "drone": settings.name,
+        "connect": settings.connect,
+        "tau_max_ms": settings.tau_max_ms,
+        "age_max_ms": settings.age_max_ms,
+        "as_fast_as_possible": options.as_fast_as_possible,
+        "interrupted": interrupted,
+        **summarise(frames, ticks, options.truth),
+        "rejected_messages": {r.value: n for r, n in flight.receiver.rejects.items()},
+        "foreign_messages": flight.receiver.foreign,
+        "late_results": flight.tally.late_results,
+        "control_errors": flight.tally.control_errors,
+        "lost_ledger_lines": ledger.lost_lines,
+        "unwritten": [],
+    }
+
+
+def _write(summary: dict[str, Any], settings: ClientSettings, options: ReplayOptions) -> None:
+    """Write summary and plot; a full disk is told in the summary itself, which is still shown."""
+    try:
+        text = json.dumps(summary, indent=2) + "\n"
+        (options.out / SUMMARY_NAME).write_text(text, encoding="utf-8")
+    except OSError as error:
+        summary["unwritten"].append(f"{options.out / SUMMARY_NAME}: {error.strerror}")
+    if not options.plot:
+        return
     try:
         frames = read_lines(options.out / LEDGER_NAME)
         ticks = read_lines(options.out / TICKS_NAME)
-        summary = {
-            "drone": settings.name,
-            "connect": settings.connect,
-            "tau_max_ms": settings.tau_max_ms,
-            "age_max_ms": settings.age_max_ms,
-            "as_fast_as_possible": options.as_fast_as_possible,
-            "interrupted": interrupted,
-            **summarise(frames, ticks, options.truth),
-            "rejected_messages": {r.value: n for r, n in flight.receiver.rejects.items()},
-            "foreign_messages": flight.receiver.foreign,
-            "late_results": flight.tally.late_results,
-            "control_errors": flight.tally.control_errors,
-            "lost_ledger_lines": ledger.lost_lines,
-        }
-        (options.out / SUMMARY_NAME).write_text(
-            json.dumps(summary, indent=2) + "\n", encoding="utf-8"
-        )
-        if options.plot:
-            path = options.out / PLOT_NAME
-            plot_run(path, frames, ticks, settings.tau_max_ms, settings.age_max_ms)
+        path = options.out / PLOT_NAME
+        plot_run(path, frames, ticks, settings.tau_max_ms, settings.age_max_ms)
     except OSError as error:
-        raise OutputError(f"folder {options.out}: {error.strerror}") from None
-    return summary
+        summary["unwritten"].append(f"{options.out / PLOT_NAME}: {error.strerror}")

@@ -57,6 +57,9 @@ class ZenohAddress:
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000},
             "transport/link/tx/lease": self.lease_ms,
             "transport/link/tx/keep_alive": 4,
+            # By default a hundred connections that say nothing keep every new drone out for 10 s
+            "transport/unicast/accept_timeout": 2000,
+            "transport/unicast/accept_pending": 1000,
             # Express messages take a batch each: with the default of 2, acks and results in quick
             # succession were dropped on a busy worker (22 of 1000; with 8 or more: none)
             "transport/link/tx/queue/size/real_time": 16,

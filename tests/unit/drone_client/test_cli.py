@@ -350,6 +350,16 @@ def test_snap_sends_both_pictures_and_the_camera_and_shows_the_answer(command, r
     assert json.loads(out) == answer
 
 
+def test_snap_tells_a_script_that_there_is_no_target(command, recording, service):
+    """Exit code 1, with the answer shown all the same."""
+    server = service(200, b'{"outcome": "nothing_found", "reason": "no box", "target": null}')
+    camera = recording / "camera.json"
+    ask = ["snap", recording / "rgb/0.png", "--camera", camera, "--url", server.url]
+    code, out, err = command(*ask)
+    assert (code, err) == (1, "")
+    assert "nothing_found" in out
+
+
 @pytest.mark.parametrize(
     ("status", "body", "says"),
     [

@@ -351,3 +351,12 @@ def test_a_made_up_result_is_an_event_and_leaves_the_frame_open(tmp_path):
     refused = [e for e in lines(tmp_path, EVENTS_NAME) if e["event"] == "refused_result"]
     assert [(e["verdict"], e["sequence"]) for e in refused] == [("echo_mismatch", 0)]
     assert rig.flight.tally.verdicts == {"echo_mismatch": 1, "accepted": 1}
+
+
+def test_what_could_not_be_written_at_the_end_is_told_and_costs_nothing_else(tmp_path):
+    """A summary that has no place on the disk is still returned, and names the file and the fault."""
+    (tmp_path / SUMMARY_NAME).mkdir()
+    summary = flown(tmp_path, recording(4))
+    assert summary["accepted_poses"] == 4
+    assert summary["unwritten"] == [f"{tmp_path / SUMMARY_NAME}: Is a directory"]
+    assert len(lines(tmp_path)) == 4
