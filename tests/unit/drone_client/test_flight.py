@@ -354,7 +354,7 @@ def test_a_made_up_result_is_an_event_and_leaves_the_frame_open(tmp_path):
 
 
 def test_what_could_not_be_written_at_the_end_is_told_and_costs_nothing_else(tmp_path):
-    """A summary that has no place on the disk is still returned, and names the file and the fault."""
+    """A summary that has no place on the disk is still returned, and names file and fault."""
     (tmp_path / SUMMARY_NAME).mkdir()
     summary = flown(tmp_path, recording(4))
     assert summary["accepted_poses"] == 4
