@@ -138,21 +138,9 @@ def replay(
     finally:
         stop.set()
         flight.stop()
-    summary = _summary(flight, ledger, settings, options, interrupted)
-    _write(summary, settings, options)
-    return summary
-
-
-def _summary(
-    flight: Flight,
-    ledger: Ledger,
-    settings: ClientSettings,
-    options: ReplayOptions,
-    interrupted: bool,
-) -> dict[str, Any]:
     frames = read_lines(options.out / LEDGER_NAME)
     ticks = read_lines(options.out / TICKS_NAME)
-    return {
+    summary = {
         "drone": settings.name,
         "connect": settings.connect,
         "tau_max_ms": settings.tau_max_ms,
@@ -167,9 +155,16 @@ def _summary(
         "lost_ledger_lines": ledger.lost_lines,
         "unwritten": [],
     }
+    _write(summary, frames, ticks, options)
+    return summary
 
 
-def _write(summary: dict[str, Any], settings: ClientSettings, options: ReplayOptions) -> None:
+def _write(
+    summary: dict[str, Any],
+    frames: list[dict[str, Any]],
+    ticks: list[dict[str, Any]],
+    options: ReplayOptions,
+) -> None:
     """Write summary and plot; a full disk is told in the summary itself, which is still shown."""
     try:
         text = json.dumps(summary, indent=2) + "\n"
@@ -179,9 +174,7 @@ def _write(summary: dict[str, Any], settings: ClientSettings, options: ReplayOpt
     if not options.plot:
         return
     try:
-        frames = read_lines(options.out / LEDGER_NAME)
-        ticks = read_lines(options.out / TICKS_NAME)
         path = options.out / PLOT_NAME
-        plot_run(path, frames, ticks, settings.tau_max_ms, settings.age_max_ms)
+        plot_run(path, frames, ticks, summary["tau_max_ms"], summary["age_max_ms"])
     except OSError as error:
         summary["unwritten"].append(f"{options.out / PLOT_NAME}: {error.strerror}")
