@@ -50,9 +50,7 @@ class Tally:
 
     verdicts: Counter[str] = field(default_factory=Counter)
     outcomes: Counter[str] = field(default_factory=Counter)
-    workers: Counter[str] = field(default_factory=Counter)
     statuses: Counter[str] = field(default_factory=Counter)
-    freshness: Counter[str] = field(default_factory=Counter)
     late_results: int = 0
     """Results of frames that had been given up on."""
     control_errors: int = 0
@@ -74,6 +72,7 @@ class Flight:
         self.tally = Tally()
         self._settings = settings
         self._airframe = airframe
+        self._camera_from_body = airframe.body_from_camera.inverse()
         self._link = link
         self._autopilot = autopilot
         self._clock = clock
@@ -105,8 +104,8 @@ class Flight:
     def capture(self, frame: RgbdFrame, name: str) -> None:
         """Offer a frame to the workers."""
         if frame.world_from_camera is not None:
-            camera_from_body = self._airframe.body_from_camera.inverse()
-            self._receiver.add_pose(frame.t_capture_ns, frame.world_from_camera @ camera_from_body)
+            world_from_body = frame.world_from_camera @ self._camera_from_body
+            self._receiver.add_pose(frame.t_capture_ns, world_from_body)
         self._uplink.submit(frame, name)
 
     def drain(self) -> None:
@@ -137,7 +136,6 @@ class Flight:
             )
             return
         tally.outcomes[result.outcome.value] += 1
-        tally.workers[result.worker] += 1
         decision = self._decide(self._clock.now_ns())
         record = reception_record(reception) | decision_record(decision)
         if not self._ledger.close_frame(result.sequence, Fate.ANSWERED, record):
@@ -197,7 +195,6 @@ class Flight:
 
         if decision.safe is not None:
             self.tally.statuses[decision.safe.status.value] += 1
-            self.tally.freshness[decision.safe.freshness.value] += 1
         else:
             self.tally.statuses[decision.known.value] += 1
         record = decision_record(decision)

@@ -12,7 +12,7 @@ import secrets
 import sys
 import threading
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,7 +26,7 @@ from rich.table import Table
 from drone_client.ack_clock import AckClock
 from drone_client.airframe import Airframe
 from drone_client.errors import ClientError
-from drone_client.gate import GateSettings, SentFrame
+from drone_client.gate import SentFrame
 from drone_client.link.zenoh import ZenohLink
 from drone_client.reception import Receiver, Reception
 from drone_client.replay import wait_for_worker
@@ -83,9 +83,7 @@ class LoadDrone:
         self._receiver = Receiver(
             name,
             self._boot_id,
-            GateSettings(
-                round(settings.tau_max_ms * NS_PER_MS), round(settings.age_max_ms * NS_PER_MS)
-            ),
+            settings.gate,
             Airframe(),
             on_heard=self._on_heard,
             on_result=self._on_result,
@@ -116,20 +114,9 @@ class LoadDrone:
             self._acks.send(sequence, t_capture_ns)
             self.tally.sent += 1
         picture = self._pictures[sequence % len(self._pictures)]
-        stamped = CompressedFrame(
-            frame=RgbdFrame(
-                picture.frame.color_rgb,
-                picture.frame.depth_units,
-                picture.frame.camera,
-                t_capture_ns,
-                picture.frame.world_from_camera,
-            ),
-            color=picture.color,
-            depth=picture.depth,
-            depth_table=picture.depth_table,
-        )
+        stamped = replace(picture, frame=replace(picture.frame, t_capture_ns=t_capture_ns))
         t1_ns = self._clock.now_ns()
-        budget_ns = round(self._settings.age_max_ms * NS_PER_MS)
+        budget_ns = self._settings.gate.age_max_ns
         message = pack(stamped, FrameStamp(self.name, self._boot_id, sequence, t1_ns, budget_ns))
         self._receiver.sending(SentFrame(sequence, t_capture_ns, t1_ns, self._worker))
         self.link.send(self._worker, message)

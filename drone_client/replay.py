@@ -17,7 +17,6 @@ from drone_client.cbf.settings import FilterSettings
 from drone_client.control import ControlSettings
 from drone_client.errors import LinkError
 from drone_client.flight import Flight, FlightSettings, Tally
-from drone_client.gate import GateSettings
 from drone_client.ledger import LEDGER_NAME, TICKS_NAME, Ledger
 from drone_client.link import Link
 from drone_client.playback import Lockstep, Playback, RealTime
@@ -48,8 +47,6 @@ class ReplayOptions:
 
 def flight_settings(settings: ClientSettings) -> FlightSettings:
     """The parts' settings out of the client's: every bound is stated once, in ``settings``."""
-    tau_max_ns = round(settings.tau_max_ms * NS_PER_MS)
-    age_max_ns = round(settings.age_max_ms * NS_PER_MS)
     control = ControlSettings(filter=replace(FilterSettings(), period_s=1.0 / settings.control_hz))
     return FlightSettings(
         uplink=UplinkSettings(
@@ -57,10 +54,10 @@ def flight_settings(settings: ClientSettings) -> FlightSettings:
             boot_id=secrets.randbits(63),
             window=settings.window,
             ack_timeout_ns=round(settings.ack_timeout_ms * NS_PER_MS),
-            budget_ns=age_max_ns,
+            budget_ns=settings.gate.age_max_ns,
             jpeg_quality=settings.jpeg_quality,
         ),
-        gate=GateSettings(tau_max_ns, age_max_ns),
+        gate=settings.gate,
         control=control,
         control_hz=settings.control_hz,
         reply_timeout_ns=round(settings.reply_timeout_ms * NS_PER_MS),

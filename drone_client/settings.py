@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drone_client.errors import ClientError
+from drone_client.gate import GateSettings
 from rgbd_wire.color import DEFAULT_JPEG_QUALITY
 from rgbd_wire.streams import FRAME, RESULT
 
@@ -59,6 +60,11 @@ class ClientSettings(BaseSettings):
                 "a result is at least as old as its time on the network; raise --age-max-ms too"
             )
         return self
+
+    @property
+    def gate(self) -> GateSettings:
+        """The two bounds of the delay gate."""
+        return GateSettings(round(self.tau_max_ms * NS_PER_MS), round(self.age_max_ms * NS_PER_MS))
 
     @property
     def endpoints(self) -> tuple[str, ...]:
