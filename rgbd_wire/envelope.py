@@ -33,9 +33,17 @@ class Kind(IntEnum):
     FRAME = 1
     RESULT = 2
     ACK = 3
+    PROBE = 4
+    STATUS = 5
 
 
-MAX_BODY_BYTES = {Kind.FRAME: 8 * 1024 * 1024, Kind.RESULT: 16 * 1024, Kind.ACK: 256}
+MAX_BODY_BYTES = {
+    Kind.FRAME: 8 * 1024 * 1024,
+    Kind.RESULT: 16 * 1024,
+    Kind.ACK: 256,
+    Kind.PROBE: 48,
+    Kind.STATUS: 512,
+}
 """A 640x480 frame weighs about 0.1 MB; the bound fits eight-megapixel pictures of real scenes."""
 
 

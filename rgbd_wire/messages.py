@@ -101,7 +101,9 @@ class Outcome(StrEnum):
     """A newer frame of the same drone came before this one's turn."""
     BAD_FRAME = "bad_frame"
     OVERLOADED = "overloaded"
-    """More drones than this worker serves, or the frame waited past its budget."""
+    """More drones than this worker serves."""
+    DROPPED = "dropped"
+    """Its answer could not have come within the frame's budget; nobody looked at the picture."""
     DRAINING = "draining"
     FAILED = "failed"
     """A fault of the worker's own; its log has the details."""
@@ -178,6 +180,25 @@ class Result(_Message, frozen=True):
     """The worker is about to stop: go to another one."""
 
 
+class Status(_Message, frozen=True):
+    """How a worker is doing, for drones that choose."""
+
+    worker: Name
+    worker_boot_id: Counter
+    sequence: Counter
+    """Goes up with each status of one start."""
+    waiting: Counter
+    """Frames that wait for the detector."""
+    drones: Counter
+    """Drones that have a slot."""
+    max_drones: Counter
+    service_p50_ns: Nanoseconds
+    """Median of t3 - t2 of late, over frames that were looked at; 0: none yet."""
+    service_p95_ns: Nanoseconds
+    model: Annotated[str, Meta(max_length=64)]
+    draining: bool
+
+
 _HEADER_DECODER = msgspec.msgpack.Decoder(FrameHeader)
 _ENCODER = msgspec.msgpack.Encoder()
 _T = TypeVar("_T")
@@ -207,7 +228,13 @@ def seal_ack(ack: Ack) -> bytes:
     return seal(Kind.ACK, _ENCODER.encode(ack))
 
 
+def seal_status(status: Status) -> bytes:
+    """A whole STATUS message."""
+    return seal(Kind.STATUS, _ENCODER.encode(status))
+
+
 _ACK_DECODER = msgspec.msgpack.Decoder(Ack)
+_STATUS_DECODER = msgspec.msgpack.Decoder(Status)
 _RESULT_DECODER = msgspec.msgpack.Decoder(Result)
 
 
@@ -218,6 +245,15 @@ def decode_ack(body: memoryview) -> Ack:
         DecodeError: BAD_HEADER.
     """
     return _decode(_ACK_DECODER, body)
+
+
+def decode_status(body: memoryview) -> Status:
+    """The status in the body of an envelope.
+
+    Raises:
+        DecodeError: BAD_HEADER.
+    """
+    return _decode(_STATUS_DECODER, body)
 
 
 def decode_result(body: memoryview) -> Result:

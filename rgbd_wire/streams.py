@@ -39,12 +39,26 @@ class Stream:
 
 FRAME = Stream("frame", rate_hz=30.0, max_age_ms=250.0, urgency=Urgency.DATA)
 RESULT = Stream("result", rate_hz=60.0, max_age_ms=300.0, urgency=Urgency.REAL_TIME)
-"""Results and receive-acks, in one stream so that an ack never arrives after its result."""
+"""Results and receive-acks, in one stream so that an ack never arrives after its result; and the
+echoes of probes."""
+PROBE = Stream("probe", rate_hz=15.0, max_age_ms=250.0, urgency=Urgency.REAL_TIME)
+STATUS_RATE_HZ = 5.0
+"""How often a worker says how it is; at once when it begins to drain."""
 
 
 def worker_key(worker: str) -> str:
     """Key of a worker's liveliness token; ``*`` stands for any."""
     return f"{PREFIX}/workers/{worker}"
+
+
+def worker_status_key(worker: str) -> str:
+    """Key of a worker's status; ``*`` stands for any."""
+    return f"{worker_key(worker)}/status"
+
+
+def drone_of_key(key: str) -> str:
+    """Name of the drone in the key of a directed stream."""
+    return key.split("/", 3)[2]
 
 
 def worker_of_key(key: str) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol, TypeAlias
 
-OnFrame: TypeAlias = Callable[[bytes | memoryview, int], None]
-"""Takes the bytes of one message and t2, the worker's monotonic time [ns] of its last byte.
+OnMessage: TypeAlias = Callable[[str, bytes | memoryview, int], None]
+"""Takes the drone that the network says it is from, the bytes of one message (FRAME or PROBE), and
+t2, the worker's monotonic time [ns] of its last byte.
 
 It is called from the network's own threads, maybe from several at once, and never raises."""
 
@@ -27,7 +28,7 @@ class Transport(Protocol):
         """
         ...
 
-    def start(self, on_frame: OnFrame) -> None:
+    def start(self, on_message: OnMessage) -> None:
         """Hand over every message that arrives on the open link."""
         ...
 
@@ -40,7 +41,11 @@ class Transport(Protocol):
         ...
 
     def send(self, drone: str, payload: bytes) -> bool:
-        """Send an ack or a result to a drone; False: the link is closed, nothing was sent."""
+        """Send an ack, an echo or a result to a drone; False: it cannot be, nothing was sent."""
+        ...
+
+    def publish(self, status: bytes) -> None:
+        """Send a status to every drone that listens; dropped rather than waited for."""
         ...
 
     def close(self) -> None:
