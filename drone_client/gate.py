@@ -36,6 +36,8 @@ class Verdict(StrEnum):
     """d1 + d2 > tau_max: the paper's condition."""
     TOO_OLD = "too_old"
     """t4 - t_capture > age_max."""
+    OTHER_COPY = "other_copy"
+    """Its frame went to two workers, and the other one's answer was accepted first."""
     OUT_OF_ORDER = "out_of_order"
     """Captured no later than what was accepted last."""
 
@@ -77,7 +79,11 @@ class GateSettings:
 
 @dataclass(frozen=True, slots=True)
 class SentFrame:
-    """What the drone remembers of a frame that it sent; stamps on the drone's clock."""
+    """What the drone remembers of a frame that it sent to a worker; stamps on the drone's clock.
+
+    A frame that went to two workers (a hedge, or after a hand-over) has one of these for each: the
+    copies left at different times, and each worker answers for its own.
+    """
 
     sequence: int
     t_capture_ns: int
@@ -132,6 +138,7 @@ def judge(
     settings: GateSettings,
     *,
     looked_at: bool = True,
+    other_copy_accepted: bool = False,
 ) -> Judgement:
     """Judge one result.
 
@@ -157,6 +164,8 @@ def judge(
         return Judgement(Verdict.NETWORK_DELAY, delay_ns, age_ns)
     if age_ns > settings.age_max_ns:
         return Judgement(Verdict.TOO_OLD, delay_ns, age_ns)
+    if other_copy_accepted:
+        return Judgement(Verdict.OTHER_COPY, delay_ns, age_ns)
     if last_accepted_capture_ns is not None and sent.t_capture_ns <= last_accepted_capture_ns:
         return Judgement(Verdict.OUT_OF_ORDER, delay_ns, age_ns)
     return Judgement(Verdict.ACCEPTED, delay_ns, age_ns)

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 from drone_client.gate import (
     GateSettings,
     Judgement,
     ResultStamps,
     SentFrame,
+    Verdict,
     judge,
 )
 
 REMEMBERED_FRAMES = 512
 """17 s at 30 Hz: longer than any age_max, short enough to bound memory."""
+
+
+@dataclass(slots=True)
+class _Frame:
+    """A frame's copies by worker; one of them is accepted at most."""
+
+    copies: dict[str, SentFrame] = field(default_factory=dict)
+    accepted: bool = False
 
 
 class SentFrames:
@@ -23,34 +32,57 @@ class SentFrames:
     def __init__(self, settings: GateSettings, capacity: int = REMEMBERED_FRAMES) -> None:
         self._settings = settings
         self._capacity = capacity
-        self._frames: OrderedDict[int, SentFrame] = OrderedDict()
+        self._frames: OrderedDict[int, _Frame] = OrderedDict()
         self._last_accepted_capture_ns: int | None = None
 
     def __len__(self) -> int:
         return len(self._frames)
 
-    def add(self, frame: SentFrame) -> None:
-        """Remember a frame that is about to be sent; the oldest is forgotten when full."""
-        self._frames[frame.sequence] = frame
+    def add(self, copy: SentFrame) -> None:
+        """Remember a copy that is about to be sent; the oldest frame is forgotten when full.
+
+        A worker that is sent the same frame again answers for the newer copy.
+        """
+        frame = self._frames.setdefault(copy.sequence, _Frame())
+        frame.copies[copy.worker] = copy
         while len(self._frames) > self._capacity:
             self._frames.popitem(last=False)
 
     def acknowledge(self, sequence: int, worker: str, worker_boot_id: int) -> bool:
         """Note who acknowledged a frame; the first one stands. False: not a frame of ours."""
-        sent = self._frames.get(sequence)
-        if sent is None or sent.worker != worker:
+        frame = self._frames.get(sequence)
+        if frame is None or (sent := frame.copies.get(worker)) is None:
             return False
         if sent.acknowledged_by is None:
-            self._frames[sequence] = replace(sent, acknowledged_by=worker_boot_id)
+            frame.copies[worker] = replace(sent, acknowledged_by=worker_boot_id)
         return True
 
     def judge(self, sequence: int, stamps: ResultStamps, *, looked_at: bool = True) -> Judgement:
-        """Judge a result. The first one that is truly this frame's answer closes the frame."""
-        sent = self._frames.get(sequence)
-        last_ns = self._last_accepted_capture_ns
-        judgement = judge(stamps, sent, last_ns, self._settings, looked_at=looked_at)
-        if sent is not None and judgement.verdict.settles_frame:
-            self._frames[sequence] = replace(sent, answered=True)
+        """Judge a result. The first one that is truly a copy's answer closes that copy."""
+        frame = self._frames.get(sequence)
+        if frame is None:
+            return Judgement(Verdict.NEVER_SENT)
+        sent = frame.copies.get(stamps.worker)
+        if sent is None:
+            return Judgement(Verdict.WRONG_WORKER)
+        judgement = judge(
+            stamps,
+            sent,
+            self._last_accepted_capture_ns,
+            self._settings,
+            looked_at=looked_at,
+            other_copy_accepted=frame.accepted,
+        )
+        if judgement.verdict.settles_frame:
+            frame.copies[stamps.worker] = replace(sent, answered=True)
         if judgement.accepted:
+            frame.accepted = True
             self._last_accepted_capture_ns = stamps.t_capture_ns
         return judgement
+
+    def unanswered(self, sequence: int) -> frozenset[str]:
+        """Workers that a frame went to and that have not answered it yet."""
+        frame = self._frames.get(sequence)
+        if frame is None:
+            return frozenset()
+        return frozenset(w for w, copy in frame.copies.items() if not copy.answered)

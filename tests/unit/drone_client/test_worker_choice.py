@@ -1,58 +1,47 @@
-"""Rendezvous hashing: spread out, stay put, and move only those who must."""
+"""Rendezvous hashing: spread out by weight, and move only those who must."""
 
 from collections import Counter
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drone_client.worker_choice import choose_worker, rendezvous_score
+from drone_client.worker_choice import ranked, rendezvous_score
 
 names = st.text("abcdefghij0123456789-_", min_size=1, max_size=8)
-workers = st.sets(names, min_size=1, max_size=8)
+weights = st.dictionaries(names, st.floats(0.01, 100), min_size=1, max_size=8)
 
 
-@given(names, workers, names)
+@given(names, weights, names)
 def test_a_worker_that_goes_moves_only_its_own_drones(drone, live, gone):
     """Whoever was served by another stays with it."""
-    before = choose_worker(drone, live | {gone}, None)
-    after = choose_worker(drone, live - {gone}, None)
+    before = ranked(drone, live | {gone: 1.0})[0]
+    rest = {w: x for w, x in live.items() if w != gone}
     if before != gone:
-        assert after == before
+        assert ranked(drone, rest)[0] == before
 
 
-@given(names, workers)
-def test_the_choice_is_the_highest_score_and_depends_on_no_order(drone, live):
+@given(names, weights)
+def test_the_order_is_by_score_and_depends_on_no_order(drone, live):
     """Every drone and every restart of it ranks the workers the same way."""
-    best = sorted(live, key=lambda w: rendezvous_score(drone, w))[-1]
-    assert choose_worker(drone, sorted(live), None) == best
-    assert choose_worker(drone, sorted(live, reverse=True), None) == best
+    order = ranked(drone, live)
+    scores = [rendezvous_score(drone, w, live[w]) for w in order]
+    assert scores == sorted(scores, reverse=True)
+    assert ranked(drone, dict(reversed(live.items()))) == order
 
 
-@given(names, workers, st.data())
-def test_stays_with_a_worker_that_lives(drone, live, data):
-    """A change of worker costs frames."""
-    current = data.draw(st.sampled_from(sorted(live)))
-    assert choose_worker(drone, live, current) == current
+@given(names, names, st.floats(0.01, 100), st.floats(1.0, 50.0))
+def test_more_weight_never_ranks_lower(drone, worker, weight, factor):
+    """A worker that got faster loses no drone."""
+    more = rendezvous_score(drone, worker, weight * factor)
+    assert more >= rendezvous_score(drone, worker, weight)
 
 
-@given(names, workers, st.data())
-def test_avoids_whom_it_should_unless_there_is_no_other(drone, live, data):
-    """Even the current one is left; but a silent worker is better than none."""
-    avoid = data.draw(st.sets(st.sampled_from(sorted(live))))
-    current = data.draw(st.sampled_from(sorted(live)))
-    chosen = choose_worker(drone, live, current, avoid)
-    assert chosen in live
-    if avoid != live:
-        assert chosen not in avoid
-
-
-def test_no_worker_no_choice():
-    """Nobody alive: None, even if there was one a moment ago."""
-    assert choose_worker("d", (), "w1") is None
-
-
-def test_drones_spread_over_the_workers():
-    """1000 drones on 4 workers: each has a share near a quarter (5 sigma of a binomial)."""
-    shares = Counter(choose_worker(f"drone-{i}", ("a", "b", "c", "d"), None) for i in range(1000))
-    assert all(abs(n - 250) < 5 * (1000 * 0.25 * 0.75) ** 0.5 for n in shares.values())
-    assert len(shares) == 4
+@pytest.mark.parametrize("weights", [(1, 1, 1, 1), (1, 2, 4, 1)])
+def test_drones_spread_over_the_workers_by_their_weights(weights):
+    """1000 drones: each worker has its share (5 sigma of a binomial)."""
+    live = dict(zip("abcd", map(float, weights), strict=True))
+    shares = Counter(ranked(f"drone-{i}", live)[0] for i in range(1000))
+    for worker, weight in live.items():
+        p = weight / sum(weights)
+        assert abs(shares[worker] - 1000 * p) < 5 * (1000 * p * (1 - p)) ** 0.5

@@ -1,0 +1,243 @@
+"""What a drone knows of its workers, and which of them it goes to.
+
+A worker is left when it is gone (its token or session is down), when it drains, or when it is
+suspect: several replies in a row missed, or frames acknowledged and never answered. A lease would
+notice a hung worker or a black hole after seconds; replies are due every few tens of milliseconds,
+so missing ones tell within a few hundred (docs/freshness.md). A suspect is still probed, and
+trusted again after several replies in a row.
+
+Pure: time is an argument. Not thread-safe.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection
+from dataclasses import dataclass
+from enum import StrEnum
+
+from drone_client.worker_choice import ranked
+from rgbd_wire.messages import Status
+
+DEFAULT_ROUND_TRIP_NS = 20_000_000
+"""Of a worker that was not measured yet: neither the best nor the worst."""
+
+
+class Standing(StrEnum):
+    """Whether a drone would go to a worker."""
+
+    WILLING = "willing"
+    DRAINING = "draining"
+    """About to stop, by its own word."""
+    SUSPECT = "suspect"
+    """Alive as far as the link knows, but it does not answer."""
+    GONE = "gone"
+
+
+@dataclass(frozen=True, slots=True)
+class RosterSettings:
+    """When a worker is left, and for whom."""
+
+    misses: int = 3
+    """Replies missed in a row that make a worker suspect."""
+    replies: int = 3
+    """Replies in a row that clear it."""
+    result_cooldown_ns: int = 5_000_000_000
+    """A worker that acknowledges but never answers is not asked for so long: its echoes say
+    nothing of the part that hangs."""
+    better_ratio: float = 1.5
+    """A worker that works is left for one whose expected delay is so many times smaller ..."""
+    better_by_ns: int = 10_000_000
+    """... and smaller by this much ..."""
+    better_for_ns: int = 1_000_000_000
+    """... for so long, and up to as long again, by the drone's name: a fleet does not move as
+    one."""
+
+
+class _Worker:
+    __slots__ = (
+        "boot_id",
+        "draining",
+        "missed",
+        "overdue",
+        "replied",
+        "round_trip_ns",
+        "silent_since_ns",
+        "status",
+        "suspect",
+        "until_ns",
+    )
+
+    def __init__(self) -> None:
+        self.draining = False
+        self.suspect = False
+        self.until_ns = 0
+        """Not trusted before this time, whatever it replies."""
+        self.missed = 0
+        """Replies missed since the last one that came."""
+        self.overdue = 0
+        """Frames it acknowledged and left without a result since the last result."""
+        self.replied = 0
+        """Replies since it became suspect, in a row."""
+        self.silent_since_ns = 0
+        """When the first of the replies it misses was due."""
+        self.boot_id: int | None = None
+        self.status: Status | None = None
+        self.round_trip_ns = DEFAULT_ROUND_TRIP_NS
+
+
+class Roster:
+    """The workers that a drone knows of; a few dozen at most, as the link bounds them."""
+
+    def __init__(self, drone: str, settings: RosterSettings | None = None) -> None:
+        self._drone = drone
+        self._settings = settings or RosterSettings()
+        self._workers: dict[str, _Worker] = {}
+        self._current: str | None = None
+        self._better_since_ns: int | None = None
+        digest = hashlib.blake2b(drone.encode(), digest_size=8).digest()
+        self._patience_ns = self._settings.better_for_ns + (
+            int.from_bytes(digest, "big") % self._settings.better_for_ns
+        )
+
+    @property
+    def current(self) -> str | None:
+        """The worker chosen last."""
+        return self._current
+
+    def see(self, live: Collection[str]) -> None:
+        """Take over who is alive as far as the link knows; one that comes back starts afresh."""
+        for name in [n for n in self._workers if n not in live]:
+            del self._workers[name]
+        for name in live:
+            self._workers.setdefault(name, _Worker())
+
+    def standing(self, worker: str) -> Standing:
+        """Whether this drone would go to a worker."""
+        w = self._workers.get(worker)
+        if w is None:
+            return Standing.GONE
+        if w.draining:
+            return Standing.DRAINING
+        return Standing.SUSPECT if w.suspect else Standing.WILLING
+
+    def standings(self) -> dict[str, str]:
+        """All of them, for people to read."""
+        return {name: self.standing(name).value for name in sorted(self._workers)}
+
+    def replied(self, worker: str, now_ns: int, round_trip_ns: int | None = None) -> None:
+        """A reply of any kind came: an ack, an echo or a result."""
+        if (w := self._workers.get(worker)) is None:
+            return
+        if round_trip_ns is not None:
+            w.round_trip_ns += (round_trip_ns - w.round_trip_ns) // 4
+        w.missed = 0
+        if not w.suspect:
+            return
+        w.replied += 1
+        if w.replied >= self._settings.replies and now_ns >= w.until_ns:
+            w.suspect = False
+            w.overdue = 0
+
+    def answered(self, worker: str) -> None:
+        """A result came: the part that looks at pictures runs."""
+        if (w := self._workers.get(worker)) is not None:
+            w.overdue = 0
+
+    def missed(self, worker: str, due_ns: int) -> bool:
+        """A reply that was due did not come; True: that made the worker suspect."""
+        if (w := self._workers.get(worker)) is None:
+            return False
+        if w.missed == 0:
+            w.silent_since_ns = due_ns
+        w.missed += 1
+        w.replied = 0
+        if w.suspect or w.missed < self._settings.misses:
+            return False
+        w.suspect = True
+        return True
+
+    def overdue(self, worker: str, now_ns: int) -> bool:
+        """An acknowledged frame got no result; True: that made the worker suspect."""
+        if (w := self._workers.get(worker)) is None:
+            return False
+        w.overdue += 1
+        if w.suspect or w.overdue < self._settings.misses:
+            return False
+        w.suspect, w.replied = True, 0
+        w.until_ns = now_ns + self._settings.result_cooldown_ns
+        return True
+
+    def take_status(self, status: Status) -> None:
+        """A worker says how it is. It is no reply: a black hole on the way up lets it through."""
+        if (w := self._workers.get(status.worker)) is None:
+            return
+        if w.boot_id is not None and w.boot_id != status.worker_boot_id:
+            w = self._workers[status.worker] = _Worker()  # started anew: another one
+        w.boot_id = status.worker_boot_id
+        w.status = status
+        w.draining = status.draining
+
+    def drains(self, worker: str) -> None:
+        """A result says that its worker is about to stop."""
+        if (w := self._workers.get(worker)) is not None:
+            w.draining = True
+
+    def expected_delay_ns(self, worker: str) -> int:
+        """From sending a frame to its result, by what is known of the worker."""
+        w = self._workers.get(worker)
+        if w is None:
+            return DEFAULT_ROUND_TRIP_NS
+        status = w.status
+        service_ns = 0 if status is None else status.service_p50_ns * (1 + min(status.waiting, 64))
+        return w.round_trip_ns + service_ns
+
+    def choose(self, now_ns: int) -> str | None:
+        """The worker to send to; None if none is alive.
+
+        The current one as long as it is willing and no other is much better for long: a change of
+        worker costs frames. A suspect is asked only where there is no other, the one heard of
+        last first; a draining one when there is nobody else at all.
+        """
+        willing = self._with(Standing.WILLING)
+        if self._current not in willing:
+            self._better_since_ns = None
+            self._current = self._best(willing) or self._least_suspect()
+            return self._current
+        best = min(willing, key=self.expected_delay_ns)
+        if self._is_much_better(best):
+            since_ns = now_ns if self._better_since_ns is None else self._better_since_ns
+            self._better_since_ns = since_ns
+            if now_ns - since_ns >= self._patience_ns:
+                self._better_since_ns = None
+                self._current = best
+        else:
+            self._better_since_ns = None
+        return self._current
+
+    def runner_up(self) -> str | None:
+        """Whom a second copy would go to: the best willing one but the current; None: nobody."""
+        return self._best([w for w in self._with(Standing.WILLING) if w != self._current])
+
+    def _with(self, standing: Standing) -> list[str]:
+        return [name for name in self._workers if self.standing(name) is standing]
+
+    def _best(self, names: list[str]) -> str | None:
+        weights = {name: 1e9 / max(1_000_000, self.expected_delay_ns(name)) for name in names}
+        return ranked(self._drone, weights)[0] if weights else None
+
+    def _least_suspect(self) -> str | None:
+        suspects = self._with(Standing.SUSPECT)
+        if not suspects:
+            return self._best(self._with(Standing.DRAINING))
+
+        def heard_last(name: str) -> tuple[int, bool, str]:
+            return self._workers[name].silent_since_ns, name == self._current, name
+
+        return max(suspects, key=heard_last)
+
+    def _is_much_better(self, best: str) -> bool:
+        assert self._current is not None
+        now_ns, then_ns = self.expected_delay_ns(self._current), self.expected_delay_ns(best)
+        s = self._settings
+        return now_ns > s.better_ratio * then_ns and now_ns - then_ns > s.better_by_ns
