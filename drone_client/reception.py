@@ -24,12 +24,15 @@ from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import (
     Ack,
     Result,
+    Status,
     TargetPose,
     decode_ack,
     decode_result,
+    decode_status,
     pose_of,
     unpack_covariance,
 )
+from rgbd_wire.probe import Probe, decode_probe
 
 _MADE_UP = frozenset({Verdict.NEVER_SENT, Verdict.ECHO_MISMATCH, Verdict.WRONG_WORKER})
 """A result like this does not show that the worker has the frame: it frees no slot."""
@@ -47,6 +50,14 @@ class Reception:
     """None: the gate refused it, or it has no target."""
     world_from_target: Pose | None
     """The measurement in the world, as composed on board."""
+    pending: frozenset[str] = frozenset()
+    """Workers that have a copy of the frame and have not answered it yet."""
+
+    @property
+    def settles(self) -> bool:
+        """No better answer to this frame can come."""
+        verdict = self.judgement.verdict
+        return verdict.settles_frame and (self.judgement.accepted or not self.pending)
 
 
 class Receiver:
@@ -58,9 +69,24 @@ class Receiver:
         boot_id: int,
         gate: GateSettings,
         airframe: Airframe,
-        on_heard: Callable[[int, str], None],
+        on_heard: Callable[[int, str, int], None],
         on_result: Callable[[Reception], None],
+        on_echo: Callable[[Probe, int], None] = lambda probe, t4_ns: None,
+        on_status: Callable[[Status], None] = lambda status: None,
     ) -> None:
+        """Take over the callbacks; all run on the link's thread.
+
+        Args:
+            drone: this drone's name.
+            boot_id: of this start of the client.
+            gate: the two bounds.
+            airframe: where the camera is.
+            on_heard: sequence, worker and time [ns, drone's clock] of an ack, or of a result that
+                shows that its worker has the frame.
+            on_result: every result for this drone, whatever the gate says of it.
+            on_echo: a probe's echo, and when it came [ns, drone's clock].
+            on_status: a worker's status.
+        """
         self.rejects: Counter[Reject] = Counter()
         self.foreign = 0
         """Valid messages for another drone or another start of this one."""
@@ -69,6 +95,8 @@ class Receiver:
         self._body_from_camera = airframe.body_from_camera
         self._on_heard = on_heard
         self._on_result = on_result
+        self._on_echo = on_echo
+        self._on_status = on_status
         self._lock = threading.Lock()
         self._sent = SentFrames(gate)
         self._poses = PoseBuffer()
@@ -98,11 +126,16 @@ class Receiver:
     def on_message(self, message: bytes, t4_ns: int) -> None:
         """Take a message that was complete at ``t4_ns``, drone's clock."""
         try:
-            kind, body = unseal(message, Kind.RESULT, Kind.ACK)
-            if kind is Kind.ACK:
-                self._on_ack(decode_ack(body))
-            else:
-                self._on_answer(decode_result(body), t4_ns)
+            kind, body = unseal(message, Kind.RESULT, Kind.ACK, Kind.PROBE, Kind.STATUS)
+            match kind:
+                case Kind.ACK:
+                    self._on_ack(decode_ack(body), t4_ns)
+                case Kind.PROBE:
+                    self._on_probe(decode_probe(body), t4_ns)
+                case Kind.STATUS:
+                    self._on_status(decode_status(body))
+                case _:
+                    self._on_answer(decode_result(body), t4_ns)
         except DecodeError as error:
             with self._lock:
                 self.rejects[error.reason] += 1
@@ -114,13 +147,20 @@ class Receiver:
                 self.foreign += 1
         return ours
 
-    def _on_ack(self, ack: Ack) -> None:
+    def _on_probe(self, probe: Probe, t4_ns: int) -> None:
+        if probe.boot_id == self._boot_id:
+            self._on_echo(probe, t4_ns)
+        else:
+            with self._lock:
+                self.foreign += 1
+
+    def _on_ack(self, ack: Ack, t_ns: int) -> None:
         if not self._is_ours(ack):
             return
         with self._lock:
             known = self._sent.acknowledge(ack.sequence, ack.worker, ack.worker_boot_id)
         if known:
-            self._on_heard(ack.sequence, ack.worker)
+            self._on_heard(ack.sequence, ack.worker, t_ns)
 
     def _on_answer(self, result: Result, t4_ns: int) -> None:
         if not self._is_ours(result):
@@ -139,12 +179,13 @@ class Receiver:
                 ),
                 looked_at=result.outcome.looked_at,
             )
+            pending = self._sent.unanswered(result.sequence)
             done, world_from_target = None, None
             if judgement.accepted and result.target is not None:
                 done, world_from_target = self._fuse(result.target, result.t_capture_ns)
         if judgement.verdict not in _MADE_UP:
-            self._on_heard(result.sequence, result.worker)
-        self._on_result(Reception(result, t4_ns, judgement, done, world_from_target))
+            self._on_heard(result.sequence, result.worker, t4_ns)
+        self._on_result(Reception(result, t4_ns, judgement, done, world_from_target, pending))
 
     def _fuse(self, target: TargetPose, t_capture_ns: int) -> tuple[Update, Pose | None]:
         world_from_body = self._poses.at(t_capture_ns)

@@ -82,7 +82,7 @@ class Rig:
             BOOT_ID,
             GateSettings(250 * MS, 400 * MS),
             Airframe(),
-            on_heard=lambda sequence, worker: self.heard.append((sequence, worker)),
+            on_heard=lambda sequence, worker, t_ns: self.heard.append((sequence, worker)),
             on_result=self.results.append,
         )
         if knows_pose:
