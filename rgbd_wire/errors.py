@@ -5,6 +5,7 @@
     WireError
     ├── GeometryError     a transform or camera that cannot be one
     ├── CameraFileError   a camera JSON that cannot be read
+    ├── TlsFilesError     a certificate or key that cannot be used
     └── DecodeError       bytes that are not a message of ours; carries a ``Reject`` reason
 """
 
@@ -23,6 +24,10 @@ class GeometryError(WireError):
 
 class CameraFileError(WireError):
     """A camera JSON is missing, malformed or out of bounds."""
+
+
+class TlsFilesError(WireError):
+    """A certificate or key is missing, unreadable, expired, or does not fit the others."""
 
 
 class Reject(StrEnum):
