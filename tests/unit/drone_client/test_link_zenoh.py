@@ -5,11 +5,19 @@ from __future__ import annotations
 import queue
 
 import pytest
+import zenoh
 
 from drone_client.airframe import Airframe
 from drone_client.errors import LinkError
 from drone_client.gate import GateSettings
-from drone_client.link.zenoh import MAX_MESSAGE_BYTES, MAX_WORKERS, ZenohLink, check_endpoint
+from drone_client.link import zenoh as link_zenoh
+from drone_client.link.zenoh import (
+    MAX_MESSAGE_BYTES,
+    MAX_STATUS_BYTES,
+    MAX_WORKERS,
+    ZenohLink,
+    check_endpoint,
+)
 from drone_client.reception import Receiver
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.errors import Reject
@@ -17,6 +25,7 @@ from tests.unit.drone_client.builders import eventually
 from tests.unit.drone_client.zenoh_worker import ZenohWorker
 
 CLOCK = MonotonicClock()
+BUDGET_NS = 250_000_000
 
 
 class Drone:
@@ -25,7 +34,12 @@ class Drone:
     def __init__(self, *endpoints: str, name: str = "drone-1") -> None:
         self.link = ZenohLink(name, endpoints, CLOCK)
         self.got: queue.Queue[tuple[bytes, int]] = queue.Queue()
-        self.link.start(lambda message, t4_ns: self.got.put((message, t4_ns)))
+        self.seen: queue.Queue[tuple[str, ...]] = queue.Queue()
+        """The workers at each change of them."""
+        self.link.start(
+            lambda message, t4_ns: self.got.put((message, t4_ns)),
+            lambda: self.seen.put(self.link.workers()),
+        )
 
     def sees(self, *workers: str) -> bool:
         """Whether these workers, and no other, are alive before long."""
@@ -84,7 +98,7 @@ def test_a_frame_goes_to_its_worker_and_the_answer_comes_back_with_its_time(work
     assert drone.sees("w1")
     before_ns = CLOCK.now_ns()
     frame = bytes(range(256)) * 150  # one batch of Zenoh's: a busy machine drops no part of it
-    drone.link.send("w1", frame)
+    drone.link.send("w1", frame, BUDGET_NS)
     assert worker.frames.get(timeout=10) == frame
     message, t4_ns = drone.got.get(timeout=10)
     assert message == frame[::-1][: MAX_MESSAGE_BYTES + 1]
@@ -110,14 +124,14 @@ def test_a_worker_that_dies_is_gone_and_is_served_again_when_it_is_back(start_wo
     mortal = start_worker()
     drone = start_drone(mortal.endpoint)
     assert drone.sees("w1")
-    drone.link.send("w1", b"first")
+    drone.link.send("w1", b"first", BUDGET_NS)
     assert mortal.frames.get(timeout=10) == b"first"
     mortal.close()
     assert drone.sees()
-    drone.link.send("w1", b"into the void")  # neither blocks nor raises
+    drone.link.send("w1", b"into the void", BUDGET_NS)  # neither blocks nor raises
     mortal.open()
     assert drone.sees("w1")
-    drone.link.send("w1", b"again")
+    drone.link.send("w1", b"again", BUDGET_NS)
     assert mortal.frames.get(timeout=10) == b"again"
     messages = [drone.got.get(timeout=10)[0] for _ in range(2)]
     assert messages == [b"tsrif", b"niaga"]
@@ -140,7 +154,7 @@ def test_a_drone_is_at_home_with_two_workers_at_once(worker, start_worker, start
     assert drone.sees("w1", "w2")
     second.close()
     assert drone.sees("w1")
-    drone.link.send("w1", b"still here")
+    drone.link.send("w1", b"still here", BUDGET_NS)
     assert worker.frames.get(timeout=10) == b"still here"
 
 
@@ -165,15 +179,91 @@ def test_results_for_another_drone_do_not_come_in(worker, drone):
 
 
 def test_a_message_that_is_too_long_is_cut_and_counted(worker, drone):
-    """Five megabytes where sixteen kilobytes may be: one reject, no exception, and life goes on."""
+    """Fifty kilobytes where sixteen may be: one reject, no exception, and life goes on."""
     receiver = Receiver("d", 1, GateSettings(1, 1), Airframe(), lambda *_: None, lambda _: None)
     assert drone.sees("w1")
-    for message in (bytes(5_000_000), b"AERC\x01\x02\0\0" + bytes(5_000_000), b"short"):
+    for message in (bytes(50_000), b"AERC\x01\x02\0\0" + bytes(50_000), b"short"):
         worker.reply("drone-1", message)
         received, t4_ns = drone.got.get(timeout=10)
         assert len(received) == min(len(message), MAX_MESSAGE_BYTES + 1)
         receiver.on_message(received, t4_ns)
     assert receiver.rejects == {Reject.WRONG_MAGIC: 1, Reject.WRONG_SIZE: 1, Reject.TRUNCATED: 1}
+
+
+def test_a_message_of_megabytes_is_dropped_on_the_link(worker, drone):
+    """It is never put together, and what comes after it comes."""
+    assert drone.sees("w1")
+    worker.reply("drone-1", bytes(5_000_000))
+    worker.reply("drone-1", b"after it")
+    assert drone.got.get(timeout=10)[0] == b"after it"
+
+
+def test_a_status_comes_in_and_one_that_is_too_long_is_cut(worker, drone):
+    """From any worker, on a key of its own."""
+    assert drone.sees("w1")
+    worker.say(b"fine")
+    assert drone.got.get(timeout=10)[0] == b"fine"
+    worker.say(bytes(50_000))
+    assert len(drone.got.get(timeout=10)[0]) == MAX_STATUS_BYTES + 1
+
+
+def test_a_probe_goes_before_all_frames_and_is_dropped_rather_than_waited_for(worker, drone):
+    """To the worker that it is for, with the urgency of the stream table."""
+    assert drone.sees("w1")
+    drone.link.send_urgent("w1", b"probe")
+    sample = worker.probes.get(timeout=10)
+    assert sample.payload.to_bytes() == b"probe"
+    assert str(sample.key_expr) == "aerial/v1/drone-1/probe/w1"
+    assert (sample.priority, sample.express) == (zenoh.Priority.REAL_TIME, True)
+    assert sample.congestion_control == zenoh.CongestionControl.DROP
+    drone.link.unheard("w1")  # there is no other way to try
+    assert drone.link.send_errors == 0
+
+
+def test_every_change_of_the_workers_is_told_after_it_happened(worker, drone):
+    """Once for each that comes or goes, and never for a name that is none."""
+    assert drone.seen.get(timeout=20) == ("w1",)
+    stranger = worker.announce("NO NAME")
+    other = worker.announce("w2")
+    assert drone.seen.get(timeout=20) == ("w1", "w2")
+    other.undeclare()
+    assert drone.seen.get(timeout=20) == ("w1",)
+    stranger.undeclare()
+    assert drone.seen.empty()
+
+
+def test_names_that_come_and_go_leave_a_bounded_number_of_publishers(worker, drone):
+    """A drone that has sent to hundreds of workers still reaches the one that is there."""
+    for i in range(5 * MAX_WORKERS):
+        drone.link.send(f"gone-{i}", b"nobody", BUDGET_NS)
+    assert len(drone.link._publishers) <= 2 * MAX_WORKERS
+    assert drone.sees("w1")
+    drone.link.send("w1", b"still", BUDGET_NS)
+    assert worker.frames.get(timeout=10) == b"still"
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "algorithm", "warns"),
+    [
+        ("tcp/192.0.2.7:7447", "cubic\n", True),
+        ("tcp/192.0.2.7:7447", "bbr\n", False),
+        ("tcp/127.0.0.1:7447", "cubic\n", False),
+        ("tcp/[::1]:7447", "cubic\n", False),
+        ("tcp/192.0.2.7:7447", None, False),
+    ],
+)
+def test_a_congestion_control_that_is_not_bbr_is_warned_of(
+    monkeypatch, tmp_path, endpoint, algorithm, warns
+):
+    """One sentence that says what to do; none for a loopback, or where nobody can know."""
+    file = tmp_path / "tcp_congestion_control"
+    if algorithm is not None:
+        file.write_text(algorithm)
+    monkeypatch.setattr(link_zenoh, "CONGESTION_CONTROL_FILE", file)
+    link = ZenohLink("d", (endpoint,), CLOCK)
+    link.close()
+    assert len(link.warnings) == warns
+    assert all("'cubic'" in w and "sysctl -w" in w for w in link.warnings)
 
 
 def test_a_rogue_that_announces_thousands_of_workers_fills_no_memory(worker, drone):
@@ -193,8 +283,8 @@ def test_a_closed_link_drops_frames_and_counts_them(worker, drone):
     """The last frames of a run find the session gone; closing twice is no harm."""
     assert drone.sees("w1")
     drone.link.close()
-    drone.link.send("w1", b"late")
-    drone.link.send("never-seen", b"late")
+    drone.link.send("w1", b"late", BUDGET_NS)
+    drone.link.send("never-seen", b"late", BUDGET_NS)
     assert drone.link.send_errors == 2
 
 
@@ -231,6 +321,12 @@ def test_what_is_no_endpoint_is_told_with_one_that_is(endpoint, says):
     assert str(caught.value).startswith(f"endpoint {endpoint!r} is not PROTOCOL/HOST:PORT")
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_drone_cannot_be_called_as_the_workers_keys_begin():
+    """Its keys would be theirs."""
+    with pytest.raises(LinkError, match="cannot be called 'workers'"):
+        ZenohLink("workers", ("tcp/127.0.0.1:7447",), CLOCK)
 
 
 def test_a_link_to_nowhere_is_refused():

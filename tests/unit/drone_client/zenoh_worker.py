@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 
 import zenoh
 
-from rgbd_wire.streams import FRAME, RESULT, worker_key
+from rgbd_wire.streams import FRAME, PROBE, RESULT, worker_key, worker_status_key
 from tests.service_process import free_port
 
 Answer = Callable[[str, bytes], Iterable[bytes]]
@@ -21,6 +21,7 @@ class ZenohWorker:
         self.name = name
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.frames: queue.Queue[bytes] = queue.Queue()
+        self.probes: queue.Queue[zenoh.Sample] = queue.Queue()
         self._answer = answer
         self.open()
 
@@ -40,6 +41,9 @@ class ZenohWorker:
         self._subscriber = self.session.declare_subscriber(
             FRAME.key("*", self.name), self._on_frame
         )
+        self._probe_subscriber = self.session.declare_subscriber(
+            PROBE.key("*", self.name), self.probes.put
+        )
         self.token = self.announce(self.name)
 
     def announce(self, name: str) -> zenoh.LivelinessToken:
@@ -53,6 +57,10 @@ class ZenohWorker:
             message,
             congestion_control=zenoh.CongestionControl.BLOCK,
         )
+
+    def say(self, status: bytes) -> None:
+        """Publish a status to all drones."""
+        self.session.put(worker_status_key(self.name), status)
 
     def close(self) -> None:
         """Go away without a word, as a process that dies does."""
