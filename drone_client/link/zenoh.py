@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -137,7 +138,8 @@ class ZenohLink:
 
     def close(self) -> None:
         """Close the session."""
-        self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub leaves out "-> None"
+        with suppress(zenoh.ZError):  # a receiver that stands still: 10 s, and then it is left
+            self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks "-> None"
 
     def _subscribe(self, key: str, max_bytes: int, on_message: OnMessage) -> None:
         def on_sample(sample: zenoh.Sample) -> None:

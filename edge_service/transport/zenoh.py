@@ -14,6 +14,7 @@ import json
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import msgspec
@@ -81,6 +82,7 @@ class ZenohAddress:
             # Who takes part is said by name; nobody is found by chance
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
+            "open/return_conditions/connect_scouted": False,  # and so nobody is waited for, 0.5 s
             # Silently carries everything over 3 kB on one host, with other latencies
             "transport/shared_memory/enabled": False,
             # A router that is not there yet, or no more, is tried again for ever
@@ -256,7 +258,8 @@ class ZenohTransport:
         self._on_message = None
         self.withdraw()
         if self._session is not None:
-            self._session.close()  # type: ignore[no-untyped-call] # zenoh's stub lacks it
+            with suppress(zenoh.ZError):  # a consumer that stands still: 10 s, and then it is left
+                self._session.close()  # type: ignore[no-untyped-call] # zenoh's stub lacks it
 
 
 def _is_name(text: str) -> bool:

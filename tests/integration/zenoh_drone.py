@@ -25,6 +25,7 @@ def open_session(mode, connect=(), listen=()):
         "listen/endpoints": list(listen),
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        "open/return_conditions/connect_scouted": False,
         "transport/shared_memory/enabled": False,
     }.items():
         config.insert_json5(key, json.dumps(value))
