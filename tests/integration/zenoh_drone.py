@@ -15,8 +15,8 @@ from rgbd_wire.streams import FRAME, RESULT, worker_key
 TIMEOUT_S = 30.0
 
 
-def open_session(mode, connect=(), listen=()):
-    """A Zenoh session that knows nobody but those named."""
+def open_session(mode, connect=(), listen=(), more=None):
+    """A Zenoh session that knows nobody but those named; ``more`` is further configuration."""
     config = zenoh.Config()
     for key, value in {
         "mode": mode,
@@ -27,6 +27,7 @@ def open_session(mode, connect=(), listen=()):
         "scouting/gossip/enabled": False,
         "open/return_conditions/connect_scouted": False,
         "transport/shared_memory/enabled": False,
+        **(more or {}),
     }.items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)
