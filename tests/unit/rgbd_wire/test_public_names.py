@@ -18,7 +18,7 @@ PUBLIC = {
     "color": "decode_color encode_color",
     "depth": "DepthTable decode_depth encode_depth lattice_values",
     "envelope": "Kind seal unseal",
-    "errors": "CameraFileError DecodeError GeometryError Reject WireError",
+    "errors": "CameraFileError DecodeError GeometryError Reject TlsFilesError WireError",
     "frame": "RgbdFrame",
     "frame_codec": "CompressedFrame FrameStamp PackedFrame compress decompress pack unpack",
     "geometry": "Pose quaternion_from_rotation quaternion_product rotation_from_quaternion "
@@ -28,6 +28,7 @@ PUBLIC = {
     "decode_header decode_result encode_header pack_covariance pose_numbers pose_of seal_ack "
     "seal_result unpack_covariance",
     "streams": "Stream Urgency worker_key worker_of_key",
+    "tls_files": "TlsFiles tls_files",
 }
 
 
