@@ -1,0 +1,56 @@
+"""How many repair symbols go along with a message: from what the receiver lost of late."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+REMEMBERED = 64
+"""Messages: two seconds of frames."""
+LOW, START, CROWDED, HIGH = 0.05, 0.10, 0.10, 0.25
+"""Parity over data: without loss, before anything is known, most on a full link, most of all."""
+
+
+class ParityControl:
+    """Aims at the second worst message of the last 64, so that nearly every next one gets through.
+
+    Bursts count by themselves: one burst is one message with many symbols lost.
+    """
+
+    def __init__(self) -> None:
+        self._lost = deque[float](maxlen=REMEMBERED)
+        self.loss = 0.0
+        """Share of symbols that is lost, smoothed over about 16 messages."""
+        self.rate = START
+        """Parity over data of the last message asked for."""
+
+    @property
+    def lossy(self) -> bool:
+        """Something was lost lately."""
+        return any(self._lost)
+
+    def on_report(self, received: int, lost: int) -> None:
+        """What a receiver counted of one message."""
+        share = lost / max(1, received + lost)
+        self._lost.append(share)
+        self.loss += (share - self.loss) / 16
+
+    def symbols(self, data_symbols: int, *, crowded: bool) -> int:
+        """Repair symbols for a message.
+
+        Args:
+            data_symbols: how many it has itself.
+            crowded: the link is nearly full: parity takes what frames need, and a loss is more
+                likely a full queue, which parity makes worse.
+        """
+        if len(self._lost) < 8 and not self.lossy:
+            rate = START
+        elif not self.lossy:
+            rate = 0.0 if crowded else LOW
+        else:
+            worst = sorted(self._lost)[-min(2, len(self._lost))]
+            wanted = worst / max(1.0 - worst, 0.5) + 1.0 / data_symbols
+            rate = min(max(wanted, LOW), CROWDED if crowded else HIGH)
+        count = math.ceil(data_symbols * rate - 1e-9)
+        self.rate = count / data_symbols
+        return min(count, 255)

@@ -1,0 +1,211 @@
+"""The sending half of a session: what goes out, in which order, how fast, how often again."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from rgbd_wire.tunnel.errors import Counters, Refusal
+from rgbd_wire.tunnel.inner import Nack, Ping, Report, Word, pack_word
+from rgbd_wire.tunnel.pacing import Pacer
+from rgbd_wire.tunnel.parity import ParityControl
+from rgbd_wire.tunnel.seal import Sealer
+from rgbd_wire.tunnel.shards import MAX_MESSAGE_BYTES, MESSAGE_IDS, Outgoing, symbols_of
+
+MAX_WAITING = 2
+"""Messages that wait for the pacer; a third one pushes out the oldest that has not begun."""
+MAX_KEPT = 8
+MAX_KEPT_BYTES = 3 * MAX_MESSAGE_BYTES
+COPY_AFTER_NS = 3_000_000
+"""A second copy of a small message leaves so much later: past most bursts of losses."""
+LOSSY_FOR_NS = 10_000_000_000
+MAX_BATCH = 64
+"""Datagrams sealed at a time: what one ``sendmsg`` takes."""
+MAX_COPIES = 64
+
+
+@dataclass(frozen=True, slots=True)
+class LinkState:
+    """What one side knows of the way to the other."""
+
+    goodput_bps: float
+    """Rate at which trains of datagrams arrived; 0: nothing known yet."""
+    rate_bps: float
+    """Rate at which datagrams leave at most."""
+    loss: float
+    """Share of datagrams that is lost, of late."""
+    parity: float
+    """Repair symbols over data of the last message."""
+    srtt_ns: int
+    """Smoothed round trip, 0: none measured yet."""
+
+
+class Sending:
+    """Seals what goes out of one side of a session. Pure: whoever calls it sends what it returns.
+
+    Args:
+        sealer: of this direction.
+        counters: where a message that is pushed out is counted.
+        now_ns: own clock.
+    """
+
+    def __init__(self, sealer: Sealer, counters: Counters, now_ns: int) -> None:
+        self._sealer = sealer
+        self._counters = counters
+        self._pacer = Pacer(now_ns)
+        self._parity = ParityControl()
+        self._waiting: deque[Outgoing] = deque()
+        self._kept: dict[int, Outgoing] = {}
+        self._copies: deque[tuple[int, bytes]] = deque()
+        self._next_id = 0
+        self._lossy_until_ns = 0
+        self._peer_number = 0
+        self._peer_count = 0
+        self._loss = 0.0
+        self.srtt_ns = 0
+
+    @property
+    def used_up(self) -> bool:
+        """No more can be sealed with these keys."""
+        return self._sealer.used_up
+
+    @property
+    def sealed(self) -> int:
+        """How many datagrams were sealed with these keys."""
+        return self._sealer.number
+
+    def state(self) -> LinkState:
+        """What is known of the way."""
+        return LinkState(
+            self._pacer.goodput_bps,
+            self._pacer.rate_bps,
+            self._loss,
+            self._parity.rate,
+            self.srtt_ns,
+        )
+
+    def submit(self, message: bytes, budget_ns: int, now_ns: int) -> None:
+        """Hand in a frame; ``burst`` gives its datagrams."""
+        outgoing = self._outgoing(message, budget_ns, now_ns, crowded=self._pacer.crowded)
+        self._pacer.on_message(outgoing.symbols + outgoing.parity, now_ns)
+        if len(self._waiting) >= MAX_WAITING:
+            for old in self._waiting:
+                if not old.begun:
+                    self._waiting.remove(old)
+                    self._counters.count(Refusal.NOT_SENT)
+                    break
+        self._waiting.append(outgoing)
+
+    def burst(self, now_ns: int) -> list[bytes]:
+        """Datagrams that may leave now, at most 64; to be called until it gives none."""
+        while self._waiting:
+            outgoing = self._waiting[0]
+            if not outgoing.left:
+                self._waiting.popleft()
+                continue
+            count = min(self._pacer.packets(now_ns), outgoing.left, MAX_BATCH)
+            if outgoing.data_left:  # parity comes by itself: its encoding holds no data up
+                count = min(count, outgoing.data_left)
+            if count == 0:
+                return []
+            self._pacer.spend(count)
+            return self._seal_all(outgoing.take(count))
+        return []
+
+    def urgent(self, message: bytes, budget_ns: int, now_ns: int) -> list[bytes]:
+        """All datagrams of a small message, to leave at once, past every frame."""
+        outgoing = self._outgoing(message, budget_ns, now_ns, crowded=False)
+        shards = outgoing.take(outgoing.symbols)
+        if outgoing.symbols > 1:
+            shards += outgoing.take(outgoing.parity)
+        elif now_ns < self._lossy_until_ns and len(self._copies) < MAX_COPIES:
+            self._copies.append((now_ns + COPY_AFTER_NS, shards[0]))
+        self._pacer.spend(len(shards))
+        return self._seal_all(shards)
+
+    def copies(self, now_ns: int) -> list[bytes]:
+        """Second copies that are due."""
+        due: list[bytes] = []
+        while self._copies and self._copies[0][0] <= now_ns:
+            due.append(self._copies.popleft()[1])
+        return self._seal_all(due)
+
+    def due_ns(self) -> int | None:
+        """When ``burst`` or ``copies`` have something next; None: nothing waits."""
+        times: list[int] = []
+        if self._copies:
+            times.append(self._copies[0][0])
+        left = sum(outgoing.left for outgoing in self._waiting)
+        if left:
+            times.append(self._pacer.ready_ns(left))
+        return min(times, default=None)
+
+    def word(self, word: Word) -> bytes:
+        """A datagram with one of the tunnel's own words."""
+        return self._sealer.seal(pack_word(word))
+
+    def on_nack(self, nack: Nack, now_ns: int) -> list[bytes]:
+        """Fresh symbols, if they can still come in time; each round is answered once."""
+        outgoing = self._kept.get(nack.message_id)
+        if outgoing is None or nack.round <= outgoing.rounds:
+            return []
+        if now_ns - outgoing.sent_ns + self.srtt_ns // 2 > outgoing.budget_ns:
+            self._counters.count(Refusal.LATE)
+            return []
+        outgoing.rounds = nack.round
+        self._lossy_until_ns = now_ns + LOSSY_FOR_NS
+        shards = outgoing.take_fresh(min(nack.wanted, outgoing.symbols + 8))
+        self._pacer.spend(len(shards))
+        return self._seal_all(shards)
+
+    def on_report(self, report: Report, now_ns: int) -> None:
+        """What the receiver saw of one message."""
+        self._parity.on_report(report.received, report.lost)
+        self._pacer.on_report(report.train_bytes, report.train_us)
+        if report.lost:
+            self._lossy_until_ns = now_ns + LOSSY_FOR_NS
+
+    def on_numbers(self, ping: Ping, now_ns: int) -> None:
+        """How many of the datagrams that were sealed here arrived, by the other side's count."""
+        sent, came = ping.next_number - self._peer_number, ping.count - self._peer_count
+        if sent <= 0 or came < 0:
+            return  # overtaken by a newer one
+        self._peer_number, self._peer_count = ping.next_number, ping.count
+        lost = min(max(0.0, 1 - came / sent), 1.0)
+        self._loss += (lost - self._loss) * min(1.0, sent / 256)
+        if lost:
+            self._lossy_until_ns = now_ns + LOSSY_FOR_NS
+
+    def _outgoing(self, message: bytes, budget_ns: int, now_ns: int, *, crowded: bool) -> Outgoing:
+        if not 0 < len(message) <= MAX_MESSAGE_BYTES:
+            raise ValueError(f"a message of {len(message)} bytes, not 1 to {MAX_MESSAGE_BYTES}")
+        symbols = symbols_of(len(message))
+        parity = self._parity.symbols(symbols, crowded=crowded) if symbols > 1 else 0
+        outgoing = Outgoing(message, self._next_id, parity, now_ns, budget_ns)
+        self._next_id = (self._next_id + 1) % MESSAGE_IDS
+        if symbols > 1:
+            self._kept[outgoing.message_id] = outgoing
+            while len(self._kept) > MAX_KEPT or (
+                len(self._kept) > 1
+                and sum(len(o.message) for o in self._kept.values()) > MAX_KEPT_BYTES
+            ):
+                del self._kept[next(iter(self._kept))]
+        return outgoing
+
+    def _seal_all(self, inners: list[bytes]) -> list[bytes]:
+        # The loop over all datagrams of a frame: everything in locals, no call but the cipher's
+        sealer = self._sealer
+        number, prefix, nonce, encrypt = (
+            sealer.number,
+            sealer.prefix,
+            sealer.nonce_prefix,
+            sealer.encrypt,
+        )
+        sealed = []
+        for inner in inners:
+            tail = number.to_bytes(5, "little")
+            outer = prefix + tail
+            sealed.append(outer + encrypt(nonce + tail, inner, outer))
+            number += 1
+        sealer.number = number
+        return sealed
