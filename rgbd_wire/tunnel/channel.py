@@ -63,6 +63,16 @@ class Channel:
         return self._opener.window.newest
 
     @property
+    def received(self) -> int:
+        """How many authentic datagrams came."""
+        return self._opener.window.count
+
+    @property
+    def in_pieces(self) -> bool:
+        """A message has begun to arrive: ``tick`` is wanted."""
+        return self._partials.deadline_ns is not None
+
+    @property
     def sealed(self) -> int:
         """How many datagrams were sealed with these keys."""
         return self._sending.sealed
