@@ -305,6 +305,26 @@ class Endpoint:
             next_ns=now_ns,
         )
 
+    def _on_refused(self, sock: DatagramSocket, now_ns: int) -> None:
+        """Nobody listens there: faster than any time-out."""
+        if self.line is not None and sock is self.line.sock:
+            self.line.refused = True
+        elif self.attempt is not None and sock is self.attempt.sock:
+            self._fail(now_ns)
+
+    def _on_answers(
+        self, attempt: Attempt, data: memoryview, segment: int, now_ns: int
+    ) -> Welcome | None:
+        for start in range(0, len(data), segment):
+            try:
+                welcome = self._on_handshake(attempt, data[start : start + segment], now_ns)
+            except TunnelError as error:
+                self._counters.count(error.reason)
+                continue
+            if welcome is not None:
+                return welcome
+        return None
+
     def _on_handshake(self, attempt: Attempt, datagram: memoryview, now_ns: int) -> Welcome | None:
         """Answer a COOKIE, read a WELCOME.
 
