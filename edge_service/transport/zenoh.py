@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from threading import Thread
 
 import msgspec
 import zenoh
@@ -41,6 +42,7 @@ _PRIORITY = {
     Urgency.DATA: zenoh.Priority.DATA,
     Urgency.REAL_TIME: zenoh.Priority.REAL_TIME,
 }
+CLOSE_S = 1.0
 MAX_FRAME_BYTES = PREFIX_BYTES + MAX_BODY_BYTES[Kind.FRAME]
 
 
@@ -258,8 +260,16 @@ class ZenohTransport:
         self._on_message = None
         self.withdraw()
         if self._session is not None:
-            with suppress(zenoh.ZError):  # a consumer that stands still: 10 s, and then it is left
-                self._session.close()  # type: ignore[no-untyped-call] # zenoh's stub lacks it
+            # Zenoh waits up to 10 s for a connection that is just being tried, or for a consumer
+            # that stands still, and offers no time-out: a stop shall not take so long
+            closing = Thread(target=_close, args=(self._session,), name="zenoh-close", daemon=True)
+            closing.start()
+            closing.join(CLOSE_S)
+
+
+def _close(session: zenoh.Session) -> None:
+    with suppress(zenoh.ZError):
+        session.close()  # type: ignore[no-untyped-call] # zenoh's stub lacks it
 
 
 def _is_name(text: str) -> bool:
