@@ -9,38 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.recordings import long_recording
 from tests.service_process import ServiceProcess
 
-RECORDING = Path(__file__).parents[2] / "examples/recordings/rendered-approach"
-REPEATS = 60
-"""The shipped recording is short; it is laid end to end, for longer than a loaded machine needs to
-start the service again. Ctrl-C ends the flight when enough has been seen."""
 ENOUGH = 15
 """Accepted results before the kill, and again after the restart."""
 INTERRUPTED = 130
-
-
-def long_recording(folder: Path) -> Path:
-    """The shipped recording, several times over, forth and back."""
-    folder.mkdir()
-    (folder / "camera.json").write_bytes((RECORDING / "camera.json").read_bytes())
-    lists = {name: [] for name in ("rgb.txt", "depth.txt", "groundtruth.txt")}
-    for name, lines in lists.items():
-        rows = [
-            line.split(maxsplit=1)
-            for line in (RECORDING / name).read_text().splitlines()
-            if not line.startswith("#")
-        ]
-        start, end = float(rows[0][0]), float(rows[-1][0])
-        period = end - start + 0.1
-        for repeat in range(REPEATS):
-            for t, rest in rows if repeat % 2 == 0 else reversed(rows):
-                along = float(t) - start if repeat % 2 == 0 else end - float(t)
-                lines.append(f"{1000 + repeat * period + along:.6f} {rest}")
-        (folder / name).write_text("\n".join(lines) + "\n")
-    for name in ("rgb", "depth"):
-        (folder / name).symlink_to(RECORDING / name)
-    return folder
 
 
 @pytest.fixture(scope="module")

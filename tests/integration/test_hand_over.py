@@ -1,0 +1,82 @@
+"""A worker dies, hangs or drains in mid-flight: the drone goes to the other one by itself.
+
+Real processes over both transports. What is asserted is that it happens, and how; how fast is
+measured by ``scripts/bench handover``.
+"""
+
+import signal
+
+import pytest
+
+from tests.two_workers import INTERRUPTED, Flying, Pair
+
+FAULTS = {"killed": signal.SIGKILL, "hung": signal.SIGSTOP, "drained": signal.SIGTERM}
+ENOUGH = 12
+"""Accepted results before the fault, and again after it."""
+PATIENT = ("--tau-max-ms", "600", "--age-max-ms", "800", "--reply-timeout-ms", "4000")
+"""Two workers and a drone on two busy cores."""
+
+
+@pytest.fixture(scope="module", params=["zenoh", "udp"])
+def pair_of(request, tmp_path_factory):
+    """A fresh pair of workers for each fault: it costs one of them."""
+
+    def make(fault):
+        return Pair(tmp_path_factory.mktemp(f"{request.param}-{fault}"), request.param)
+
+    return make
+
+
+@pytest.fixture(scope="module", params=sorted(FAULTS))
+def flight(request, pair_of, tmp_path_factory):
+    """A flight during which the worker in use gets a signal."""
+    folder = tmp_path_factory.mktemp(request.param)
+    with pair_of(request.param) as pair:
+        flying = Flying(folder, pair, PATIENT)
+        try:
+            before = flying.wait_for_accepted(ENOUGH)
+            other = next(name for name in pair.services if name != before)
+            pair.services[before].process.send_signal(FAULTS[request.param])
+            flying.wait_for_accepted(ENOUGH, other)
+            run = flying.land()
+            code = pair.services[before].process.wait(30) if request.param == "drained" else None
+        finally:
+            flying.close()
+    return request.param, before, other, run, code
+
+
+def test_the_other_worker_takes_over(flight):
+    """Accepted results from the one, then from the other, and the change stands in the events."""
+    _, before, other, run, _ = flight
+    assert run.exit_code == INTERRUPTED
+    workers = [f["worker"] for f in run.accepted()]
+    assert workers[0] == before
+    assert workers[-1] == other
+    changes = [(e["before"], e["now"]) for e in run.events if e["event"] == "worker"]
+    assert (before, other) in changes
+
+
+def test_each_frame_has_one_line_and_none_is_accepted_twice(flight):
+    """Second copies make no second lines."""
+    *_, run, _ = flight
+    sequences = sorted(f["sequence"] for f in run.frames)
+    assert sequences == list(range(len(sequences)))
+    captures = [f["t_capture_ns"] for f in run.accepted()]
+    assert captures == sorted(set(captures))
+
+
+def test_a_silent_worker_is_suspected_by_its_missing_replies(flight):
+    """The lease would take seconds; the drone tells by what it did not get."""
+    fault, before, _, run, _ = flight
+    suspects = [e["worker"] for e in run.events if e["event"] == "suspect"]
+    if fault == "hung":
+        assert before in suspects
+
+
+def test_a_drained_worker_answers_what_it_has_and_ends_well(flight):
+    """Exit code 0, and no frame of it is left without an answer."""
+    fault, before, _, run, code = flight
+    if fault == "drained":
+        assert code == 0
+        assert not [f for f in run.frames if f["fate"] == "no_reply" and f["worker"] == before]
+        assert not [e for e in run.events if e["event"] == "copy" and e["why"] == "hand_over"]
