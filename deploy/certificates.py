@@ -12,7 +12,6 @@ from __future__ import annotations
 import ipaddress
 import os
 import re
-import secrets
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -26,11 +25,12 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from rgbd_wire.tunnel.keys import generate_key
+
 AUTHORITY = "authority"
 AUTHORITY_DAYS = 3650
 TUNNEL_KEY = "tunnel.key"
 TUNNEL_KEYS = "tunnel.keys"
-TUNNEL_KEY_BYTES = 32
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
 RESERVED = {AUTHORITY, "workers"}
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
@@ -272,7 +272,7 @@ def make(order: Order, now: datetime) -> None:
         write(folder, "key.pem", end.key_pem(), is_private=True)
     if order.with_tunnel_keys:
         for name in order.drones:
-            line = f"{name} {secrets.token_hex(TUNNEL_KEY_BYTES)}\n"
+            line = f"{name} {generate_key()}\n"
             write(order.folder / name, TUNNEL_KEY, line.encode(), is_private=True)
     _give_tunnel_keys(order)
 
@@ -288,6 +288,17 @@ def _give_tunnel_keys(order: Order) -> None:
         write(order.folder / name, TUNNEL_KEYS, lines.encode(), is_private=True)
 
 
+def known_drones(folder: Path) -> list[str]:
+    """Names of all drones that have a certificate here, of this run and of earlier ones."""
+    names = []
+    for path in sorted(folder.glob("*/cert.pem")):
+        certificate = x509.load_pem_x509_certificate(path.read_bytes())
+        uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        if ExtendedKeyUsageOID.SERVER_AUTH not in uses:
+            names.append(path.parent.name)
+    return names
+
+
 def _split(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
@@ -297,10 +308,18 @@ def next_steps(order: Order) -> str:
     folder = order.folder
     worker = order.workers[0] if order.workers else "WORKER"
     drone = order.drones[0] if order.drones else "DRONE"
+    drones = ",".join(known_drones(folder)) or drone
     host = next(iter(order.hosts), "localhost")
     lines = [
-        f"# worker {worker}: copy {folder / worker} there, and nothing else",
-        f"EDGE_ZENOH_TLS={folder / worker} EDGE_ZENOH_DRONES={','.join(order.drones) or drone} \\",
+        f"# worker {worker}: copy {folder / worker} there, and nothing else; a new drone is let in",
+        "# over Zenoh when the worker starts again, over the tunnel within a second",
+        f"EDGE_ZENOH_TLS={folder / worker} EDGE_ZENOH_DRONES={drones} \\",
+    ]
+    if order.with_tunnel_keys:
+        lines += [
+            f"EDGE_UDP_LISTEN=0.0.0.0:7448 EDGE_TUNNEL_KEYS={folder / worker / TUNNEL_KEYS} \\",
+        ]
+    lines += [
         f"  edge-service serve --name {worker} --listen tls/0.0.0.0:7447",
         f"# drone {drone}: the same with {folder / drone}",
         f"DRONE_NAME={drone} DRONE_TLS={folder / drone} DRONE_CONNECT=tls/{host}:7447 \\",
@@ -308,12 +327,9 @@ def next_steps(order: Order) -> str:
     ]
     if order.with_tunnel_keys:
         lines += [
-            "# over the UDP tunnel instead:",
-            f"EDGE_UDP_LISTEN=0.0.0.0:7448 EDGE_TUNNEL_KEYS={folder / worker / TUNNEL_KEYS} \\",
-            f"  edge-service serve --name {worker}",
-            f"DRONE_NAME={drone} DRONE_KEY_FILE={folder / drone / TUNNEL_KEY} "
-            f"DRONE_CONNECT=udp/{host}:7448 \\",
-            "  drone-client replay RECORDING",
+            "# or over the UDP tunnel, which is made for a radio:",
+            f"DRONE_NAME={drone} DRONE_KEY_FILE={folder / drone / TUNNEL_KEY} \\",
+            f"  DRONE_CONNECT=udp/{host}:7448 drone-client replay RECORDING",
         ]
     return "\n".join(lines)
 

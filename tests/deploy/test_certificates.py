@@ -156,6 +156,8 @@ def test_the_command_says_what_to_do_next_and_help_teaches(tmp_path):
     assert made.returncode == 0, made.stderr
     for words in ("EDGE_ZENOH_TLS", "EDGE_ZENOH_DRONES=d1", "DRONE_TLS", "DRONE_KEY_FILE"):
         assert words in made.stdout
+    more = run(str(tmp_path / "c"), "--drones", "d2")
+    assert "EDGE_ZENOH_DRONES=d1,d2" in more.stdout
     again = run(str(tmp_path / "c"), "--drones", "d1")
     assert again.returncode == 1
     assert again.stderr.startswith("error: there already")
