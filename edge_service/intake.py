@@ -1,4 +1,8 @@
-"""The receiving end: what every message from the network passes before it waits for the worker."""
+"""The receiving end: what every message from the network passes before it waits for the worker.
+
+All of this runs on the network's own threads, so it is short: one look at the envelope, one CRC,
+one header.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +13,17 @@ from edge_service.metrics import Metrics
 from edge_service.pipeline import Output
 from edge_service.replies import Replies
 from rgbd_wire.clock import Clock
+from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.errors import DecodeError
 from rgbd_wire.frame_codec import unpack
 from rgbd_wire.messages import Outcome
+from rgbd_wire.probe import PROBE_BYTES, decode_probe
 
 log = logging.getLogger(__name__)
 
 REPEATED = "repeated"
-"""The reason under which repeated frames are counted, beside those of ``Reject``."""
+WRONG_DRONE = "wrong_drone"
+"""Reasons under which messages are refused here, beside those of ``Reject``."""
 
 ANSWERS = {
     Verdict.OUTDATED: Output(Outcome.SUPERSEDED, "a newer frame of this drone has come in"),
@@ -25,9 +32,11 @@ ANSWERS = {
 }
 """What a frame without a place is told."""
 
+_KIND_OFFSET = 5
+
 
 class Intake:
-    """Checks a message, acknowledges it and puts it into the mailbox."""
+    """Checks a message; echoes a probe, acknowledges a frame and puts it into the mailbox."""
 
     def __init__(self, mailbox: Mailbox, replies: Replies, metrics: Metrics, clock: Clock) -> None:
         self._mailbox = mailbox
@@ -36,14 +45,34 @@ class Intake:
         self._clock = clock
         self._seen_rejects: set[str] = set()
 
-    def on_frame(self, data: bytes | memoryview, t2_ns: int) -> None:
-        """Take one message that was complete at ``t2_ns``; a bad one is counted and dropped."""
+    def on_message(self, drone: str, data: bytes | memoryview, t2_ns: int) -> None:
+        """Take one message that was complete at ``t2_ns``; a bad one is counted and dropped.
+
+        Args:
+            drone: who sent it, as the network knows it.
+            data: the message, FRAME or PROBE.
+            t2_ns: its last byte at the socket, worker's clock.
+        """
         try:
-            packed = unpack(data)
+            if len(data) == PROBE_BYTES and data[_KIND_OFFSET] == Kind.PROBE:
+                self._on_probe(drone, data, t2_ns)
+            else:
+                self._on_frame(drone, data, t2_ns)
         except DecodeError as error:
             self._reject(error.reason.value, str(error))
-            return
+
+    def _on_probe(self, drone: str, data: bytes | memoryview, t2_ns: int) -> None:
+        _, body = unseal(data, Kind.PROBE)
+        self._replies.echo(drone, decode_probe(body), t2_ns)
+        self._metrics.probes.inc()
+
+    def _on_frame(self, drone: str, data: bytes | memoryview, t2_ns: int) -> None:
+        packed = unpack(data)
         header = packed.header
+        if header.drone != drone:
+            # Not answered: neither of the two has sent it for certain
+            self._reject(WRONG_DRONE, f"a frame of {header.drone} came from {drone}")
+            return
         verdict = self._mailbox.admit(header, self._clock.now_ns())
         if verdict is Verdict.REPEATED:
             self._reject(REPEATED, f"sequence {header.sequence} of {header.drone} came before")
@@ -60,4 +89,4 @@ class Intake:
         self._metrics.rejected.labels(reason).inc()
         if reason not in self._seen_rejects:  # the counter tells how often; the log, that it is so
             self._seen_rejects.add(reason)
-            log.warning("frame refused", extra={"reason": reason, "detail": detail})
+            log.warning("message refused", extra={"reason": reason, "detail": detail})

@@ -35,6 +35,7 @@ class Metrics:
         self.rejected = Counter(
             "edge_rejected", "Messages refused, by reason.", ["reason"], registry=self.registry
         )
+        self.probes = Counter("edge_probes", "Probes echoed.", registry=self.registry)
         self.unsent = Counter(
             "edge_unsent", "Answers that found the link closed.", registry=self.registry
         )
@@ -64,7 +65,7 @@ class Metrics:
         # A series that appears with its first event has no rate for that event
         for outcome in Outcome:
             self.frames.labels(outcome.value)
-        for reason in (*(r.value for r in Reject), "repeated"):
+        for reason in (*(r.value for r in Reject), "repeated", "wrong_drone"):
             self.rejected.labels(reason)
 
     def describe(self, worker: str, model_hash: str) -> None:

@@ -1,4 +1,4 @@
-"""Acks and results: how a worker's answers are made, stamped, counted and sent."""
+"""Acks, echoes and results: how a worker's answers are made, stamped, counted and sent."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from rgbd_wire.messages import (
     seal_ack,
     seal_result,
 )
+from rgbd_wire.probe import Probe, seal_probe
 
 
 class Replies:
@@ -48,6 +49,19 @@ class Replies:
         """Tell a drone that its frame has arrived whole: exactly one result will follow."""
         ack = Ack(header.drone, header.boot_id, header.sequence, self._worker, self._boot_id)
         if not self._transport.send(header.drone, seal_ack(ack)):
+            self._metrics.unsent.inc()
+
+    def echo(self, drone: str, probe: Probe, t2_ns: int) -> None:
+        """Send a probe back with this worker's two stamps."""
+        echo = Probe(
+            probe.boot_id,
+            probe.sequence,
+            probe.t1_ns,
+            t2_ns=t2_ns,
+            t3_ns=self._clock.now_ns(),
+            worker_boot_id=self._boot_id,
+        )
+        if not self._transport.send(drone, seal_probe(echo)):
             self._metrics.unsent.inc()
 
     def answer(self, arrival: Arrival, output: Output) -> None:

@@ -50,7 +50,7 @@ class EdgeService:
 
     def start(self) -> None:
         """Serve on the open link, and say so."""
-        self._transport.start(self._intake.on_frame)
+        self._transport.start(self._intake.on_message)
         self._worker.start()
         self._state.worker = self._worker
         self._transport.announce()

@@ -18,8 +18,9 @@ from edge_service.transport.memory import MemoryTransport
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from rgbd_wire.clock import ManualClock
 from rgbd_wire.envelope import Kind, seal, unseal
+from rgbd_wire.errors import DecodeError
 from rgbd_wire.frame import RgbdFrame
-from rgbd_wire.frame_codec import FrameStamp, compress, pack
+from rgbd_wire.frame_codec import FrameStamp, compress, pack, unpack
 from rgbd_wire.geometry import Pose
 from target_pose.candidate import Box, Detections
 from target_pose.localise import localise
@@ -118,6 +119,14 @@ def message(drone="d1", sequence=0, boot_id=7, t1_ns=11, budget_ns=SECOND_NS, ba
     return pack(_COLOR_ONLY if bare else _COMPRESSED, stamp)
 
 
+def named_drone(data):
+    """The drone that a frame names; d1 for anything else."""
+    try:
+        return unpack(data).header.drone
+    except DecodeError:
+        return "d1"
+
+
 def with_broken_picture(data):
     """The message with its colour picture overwritten, and a right checksum."""
     _, body = unseal(data, Kind.FRAME)
@@ -154,9 +163,9 @@ class Bench:
             self.settings, self.pipeline, self.transport, self.state, self.clock
         )
 
-    def deliver(self, data):
-        """Hand over a message that is complete now."""
-        self.transport.deliver(data, self.clock.now_ns())
+    def deliver(self, data, drone=None):
+        """Hand over a message that is complete now; ``drone``: other than the one it names."""
+        self.transport.deliver(drone or named_drone(data), data, self.clock.now_ns())
 
     def count(self, name, **labels):
         """Value of a metric; 0 when it has none."""

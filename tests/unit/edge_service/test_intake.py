@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from rgbd_wire.envelope import Kind, seal
 from rgbd_wire.errors import Reject
 from rgbd_wire.messages import Ack, Outcome, Result
+from rgbd_wire.probe import Probe, seal_probe
 from tests.unit.edge_service.edge_fakes import Bench, HeldDetector, message
 
 GOOD = message()
@@ -142,6 +143,53 @@ def test_displaced_overtaken_and_surplus_frames_are_told_at_once():
     assert len(bench.transport.acks()) == 5
     assert bench.count("edge_frames_total", outcome="superseded") == 2
     assert bench.count("edge_service_seconds_count") == 2  # those that were worked on
+
+
+def test_a_drone_cannot_speak_for_another():
+    """A frame that names another drone than the one it came from is counted, and nobody is told."""
+    bench = Bench()
+    bench.service.start()
+    bench.deliver(message(drone="d2"), drone="d1")
+    assert bench.count("edge_rejected_total", reason="wrong_drone") == 1
+    assert bench.transport.sent == []
+    bench.deliver(message(drone="d2"))  # the true one is not taken for a repetition
+    bench.drain()
+    assert [r.drone for r in bench.transport.results()] == ["d2"]
+
+
+def test_a_probe_comes_back_at_once_with_the_workers_stamps():
+    """Its own three numbers, then t2, t3 and the boot id that acks and results carry as well."""
+    bench = Bench()
+    bench.service.start()
+    bench.deliver(message())
+    t2_ns = bench.clock.now_ns()
+    bench.clock.advance(40)
+    bench.transport.deliver("d7", seal_probe(Probe(boot_id=7, sequence=3, t1_ns=99)), t2_ns)
+    ((to, echo),) = [s for s in bench.transport.sent if isinstance(s[1], Probe)]
+    worker_boot_id = bench.transport.acks()[0].worker_boot_id
+    assert (to, echo) == ("d7", Probe(7, 3, 99, t2_ns, t2_ns + 40, worker_boot_id))
+    assert bench.count("edge_probes_total") == 1
+    assert bench.state.mailbox.drones == 1  # who only probes takes nobody's place
+    bench.drain()
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (seal(Kind.PROBE, bytes(47)), Reject.WRONG_KIND),
+        (seal(Kind.PROBE, bytes(40) + b"\xff" * 8), Reject.BAD_HEADER),
+        (seal_probe(Probe(1, 2, 3))[:-1] + b"x", Reject.CHECKSUM),
+        (seal(Kind.STATUS, bytes(48)), Reject.WRONG_KIND),
+    ],
+)
+def test_a_bad_probe_is_counted_and_not_echoed(data, reason):
+    """What is nearly a probe, or of a kind that only workers send, goes nowhere."""
+    bench = Bench()
+    bench.service.start()
+    bench.deliver(data)
+    assert bench.count("edge_rejected_total", reason=reason.value) == 1
+    assert bench.transport.sent == []
+    bench.drain()
 
 
 def test_a_refusal_is_logged_once_for_each_reason(caplog):
