@@ -174,6 +174,11 @@ class Endpoint:
             return Came(now_ns, [], self._on_answers(attempt, data, segment, now_ns))
         return Came(now_ns, [])
 
+    def after(self, came: Came) -> None:
+        """What came was handed on: tell the worker what its messages lack."""
+        if self.line is not None:
+            self.line.channel.settle(came.now_ns)
+
     def settle(self, welcome: Welcome, now_ns: int) -> Line:
         """The session of a welcome, in place of the one before it."""
         attempt = self.attempt

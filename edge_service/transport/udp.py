@@ -258,13 +258,14 @@ class UdpTransport:
             if not self._announced and now_ns - session.goodbye_ns > GOODBYE_AGAIN_NS:
                 session.goodbye_ns = now_ns
                 channel.goodbye()
-        if channel.in_pieces:
-            self._in_pieces.add(session)
         for message in messages:
             if not quota.messages.take(now_ns):
                 self._counters.count(Refusal.DRONE_RATE)
             elif self._on_message is not None:
                 self._on_message(session.drone, message, now_ns)
+        channel.settle(now_ns)
+        if channel.in_pieces:
+            self._in_pieces.add(session)
 
     def _on_handshake(self, datagram: memoryview, address: Address, now_ns: int) -> None:
         """Answer an INIT or a HELLO.

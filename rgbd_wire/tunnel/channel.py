@@ -14,6 +14,8 @@ from rgbd_wire.tunnel.partials import Partials
 from rgbd_wire.tunnel.seal import Opener, Sealer
 from rgbd_wire.tunnel.sending import LinkState, Sending
 
+_SHARD = int(Inner.SHARD)
+
 
 class Side(Enum):
     """Which end."""
@@ -116,31 +118,36 @@ class Channel:
     def receive(self, data: memoryview, segment: int, now_ns: int) -> list[bytes]:
         """Open datagrams that came at once; the messages that are whole now.
 
+        Hand them on, then call ``settle``: an answer leaves before the words of the tunnel.
+
         Args:
             data: the datagrams.
             segment: length of each, but the last.
             now_ns: own clock, when they were here.
         """
         messages: list[bytes] = []
-        partials, opener = self._partials, self._opener
-        authentic = False
-        for start in range(0, len(data), segment):
-            try:
-                inner = opener.open(data[start : start + segment])
-                authentic = True
-                if inner[0] == Inner.SHARD:
-                    message = partials.add(inner, now_ns)
-                    if message is not None:
-                        messages.append(message)
-                else:
+        partials = self._partials
+        inners = self._opener.open_all(data, segment, self._counters)
+        if not inners:
+            return messages
+        self.heard_ns = now_ns
+        add = partials.add
+        for inner in inners:
+            if inner[0] == _SHARD:
+                message = add(inner, now_ns)
+                if message is not None:
+                    messages.append(message)
+            else:
+                try:
                     self._on_word(inner, now_ns)
-            except TunnelError as error:
-                self._counters.count(error.reason)
-        if authentic:
-            self.heard_ns = now_ns
-        partials.settle(now_ns)
-        self._say_words()
+                except TunnelError as error:
+                    self._counters.count(error.reason)
         return messages
+
+    def settle(self, now_ns: int) -> None:
+        """After ``receive``: report what is whole, see when to ask for what is not."""
+        self._partials.settle(now_ns)
+        self._say_words()
 
     def tick(self, now_ns: int) -> int | None:
         """Ask for what lacks; when to come back, None: nothing is in pieces."""

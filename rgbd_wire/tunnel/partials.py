@@ -25,6 +25,9 @@ REORDER_NS = 1_000_000
 """A gap older than this is a loss, not a datagram that was overtaken."""
 MIN_PATIENCE_NS, MAX_PATIENCE_NS = 3_000_000, 20_000_000
 STALE_NS = 400_000_000
+SHARD_HEAD_BYTES = SHARD_HEAD.size
+_unpack = SHARD_HEAD.unpack_from
+_KEYS = MESSAGE_IDS - 1
 DATAGRAM_HEADS_BYTES = 68
 """What a symbol weighs more on the wire: IPv4, UDP, outer, tag, inner."""
 
@@ -53,12 +56,14 @@ class _Partial:
         "repair",
         "rounds",
         "symbols",
+        "tail",
         "train_symbols",
     )
 
     def __init__(self, head: int, tail: int, message_id: int, now_ns: int) -> None:
         self.head = head
-        self.key = tail & MESSAGE_IDS - 1
+        self.tail = tail
+        self.key = tail & _KEYS
         self.message_id = message_id  # without wrapping round
         self.length = head >> 8
         self.symbols = symbols_of(self.length)
@@ -103,6 +108,7 @@ class Partials:
     def __init__(self, counters: Counters) -> None:
         self._counters = counters
         self._open: dict[int, _Partial] = {}
+        self._newest: _Partial | None = None
         self._done = ReplayWindow(256)
         self.words: list[Word] = []
         """What the sender is to be told; whoever sends it empties the list."""
@@ -124,31 +130,36 @@ class Partials:
 
         All datagrams of one batch of the socket come with the same ``now_ns``.
         """
-        if len(inner) <= SHARD_HEAD.size:
+        if len(inner) <= SHARD_HEAD_BYTES:
             self._counters.count(Refusal.BAD_SHARD)
             return None
-        head, esi, tail = SHARD_HEAD.unpack_from(inner)
-        symbol = inner[SHARD_HEAD.size :]
-        partial = self._open.get(tail & MESSAGE_IDS - 1)
-        if partial is None:
-            message_id = self._unwrap(tail & MESSAGE_IDS - 1)
-            if not self._done.is_new(message_id):
-                return None  # parity of a whole message, as a rule: no fault
-            length = head >> 8
-            if not 0 < length <= MAX_MESSAGE_BYTES:
+        head, esi, tail = _unpack(inner)
+        symbol = inner[SHARD_HEAD_BYTES:]
+        partial = self._newest
+        if partial is None or partial.tail != tail or partial.head != head:
+            partial = self._open.get(tail & _KEYS)
+            if partial is None:
+                return self._first(head, tail, symbol, esi, now_ns)
+            if partial.head != head or partial.tail != tail:
                 self._counters.count(Refusal.BAD_SHARD)
                 return None
-            if length <= SYMBOL_BYTES:
-                return self._single(message_id, length, symbol)
-            partial = self._begin(head, tail, message_id, now_ns)
-            if partial is None:
-                return None
-        elif partial.head != head or partial.parity != tail >> 24:
-            self._counters.count(Refusal.BAD_SHARD)
-            return None
         if not self._place(partial, esi, symbol, now_ns) or partial.got < partial.symbols:
             return None
         return self._finish(partial, esi, symbol)
+
+    def _first(self, head: int, tail: int, symbol: bytes, esi: int, now_ns: int) -> bytes | None:
+        """A shard of a message that is not in pieces yet."""
+        message_id = self._unwrap(tail & _KEYS)
+        if not self._done.is_new(message_id):
+            return None  # parity of a whole message, as a rule: no fault
+        length = head >> 8
+        if not 0 < length <= MAX_MESSAGE_BYTES:
+            self._counters.count(Refusal.BAD_SHARD)
+        elif length <= SYMBOL_BYTES:
+            return self._single(message_id, length, symbol)
+        elif (partial := self._begin(head, tail, message_id, now_ns)) is not None:
+            self._place(partial, esi, symbol, now_ns)
+        return None
 
     def _single(self, message_id: int, length: int, symbol: bytes) -> bytes | None:
         """A message of one symbol: nothing to put together."""
@@ -244,7 +255,7 @@ class Partials:
                 self._counters.count(Refusal.EVICTED)
                 return None
             self._give_up(oldest, Refusal.EVICTED)
-        self._open[partial.key] = partial
+        self._open[partial.key] = self._newest = partial
         return partial
 
     def _finish(self, partial: _Partial, esi: int, symbol: bytes) -> bytes | None:
@@ -254,6 +265,8 @@ class Partials:
                 self._give_up(partial, Refusal.UNDECODABLE)
             return None
         del self._open[partial.key]
+        if self._newest is partial:
+            self._newest = None
         self._done.mark(partial.message_id)
         self.words.append(partial.report(whole=True))
         for older in [p for p in self._open.values() if p.message_id < partial.message_id]:
@@ -279,6 +292,8 @@ class Partials:
 
     def _give_up(self, partial: _Partial, reason: Refusal) -> None:
         del self._open[partial.key]
+        if self._newest is partial:
+            self._newest = None
         if self._done.is_new(partial.message_id):
             self._done.mark(partial.message_id)
         self._counters.count(reason)

@@ -25,6 +25,13 @@ class ReplayWindow:
             return True
         return back < self._size and not self._bits >> back & 1
 
+    def mark_next(self, count: int) -> None:
+        """Remember the ``count`` numbers after the newest one: many for the price of one."""
+        if count:
+            self._bits = (self._bits << count | (1 << count) - 1) & self._mask
+            self.newest += count
+            self.count += count
+
     def mark(self, number: int) -> None:
         """Remember a new number."""
         back = self.newest - number

@@ -11,7 +11,7 @@ from typing import TypeAlias
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 
-from rgbd_wire.tunnel.errors import Refusal, TunnelError
+from rgbd_wire.tunnel.errors import Counters, Refusal, TunnelError
 from rgbd_wire.tunnel.packet import (
     MAX_PACKET_NUMBER,
     OUTER_BYTES,
@@ -114,24 +114,46 @@ class Opener:
         self.decrypt = make_aead(cipher, key.key).decrypt
         self.window = ReplayWindow()
 
-    def open(self, datagram: memoryview) -> bytes:
-        """The inner message of a datagram.
+    def open_all(self, data: memoryview, segment: int, counters: Counters) -> list[bytes]:
+        """The inner messages of datagrams that came at once; what is refused is counted.
 
-        Raises:
-            TunnelError: MALFORMED, UNKNOWN_SESSION, REPLAYED or NOT_AUTHENTIC.
+        Args:
+            data: the datagrams.
+            segment: length of each, but the last.
+            counters: where NOT_AUTHENTIC, REPLAYED, UNKNOWN_SESSION and MALFORMED are counted.
         """
-        if len(datagram) <= OUTER_BYTES + TAG_BYTES:
-            raise TunnelError(Refusal.MALFORMED, f"{len(datagram)} bytes sealed")
-        outer = bytes(datagram[:OUTER_BYTES])
-        if not outer.startswith(self.prefix):
-            raise TunnelError(Refusal.UNKNOWN_SESSION, "another session, type or version")
-        tail = outer[9:]
-        number = int.from_bytes(tail, "little")
-        if not self.window.is_new(number):
-            raise TunnelError(Refusal.REPLAYED, f"packet {number} again")
-        try:
-            inner = self.decrypt(self.nonce_prefix + tail, datagram[OUTER_BYTES:], outer)
-        except InvalidTag:
-            raise TunnelError(Refusal.NOT_AUTHENTIC, f"packet {number}") from None
-        self.window.mark(number)
-        return inner
+        # The loop over all datagrams of a frame: locals, and no call but the cipher's
+        prefix, nonce, decrypt, window = self.prefix, self.nonce_prefix, self.decrypt, self.window
+        from_bytes = int.from_bytes
+        newest, in_order = window.newest, 0
+        inners = []
+        size = len(data)
+        for start in range(0, size, segment):
+            outer = bytes(data[start : start + OUTER_BYTES])
+            tail = outer[9:]
+            number = from_bytes(tail, "little")
+            end = min(start + segment, size)
+            if outer[:9] != prefix or end - start <= OUTER_BYTES + TAG_BYTES:
+                short = end - start <= OUTER_BYTES + TAG_BYTES
+                counters.count(Refusal.MALFORMED if short else Refusal.UNKNOWN_SESSION)
+                continue
+            if number != newest + 1:
+                window.mark_next(in_order)
+                in_order = 0
+                if not window.is_new(number):
+                    counters.count(Refusal.REPLAYED)
+                    continue
+            try:
+                inner = decrypt(nonce + tail, data[start + OUTER_BYTES : end], outer)
+            except InvalidTag:
+                counters.count(Refusal.NOT_AUTHENTIC)
+                continue
+            if number == newest + 1:
+                in_order += 1
+                newest = number
+            else:
+                window.mark(number)
+                newest = window.newest
+            inners.append(inner)
+        window.mark_next(in_order)
+        return inners

@@ -19,8 +19,10 @@ MAX_KEPT_BYTES = 3 * MAX_MESSAGE_BYTES
 COPY_AFTER_NS = 3_000_000
 """A second copy of a small message leaves so much later: past most bursts of losses."""
 LOSSY_FOR_NS = 10_000_000_000
-MAX_BATCH = 64
-"""Datagrams sealed at a time: what one ``sendmsg`` takes."""
+MAX_BATCH = 54
+"""Datagrams sealed at a time: while the next ones are sealed, the other end opens these."""
+SHORT_WAY_NS = 1_500_000
+"""Round trip under which parity waits for the report that makes it needless."""
 MAX_COPIES = 64
 
 
@@ -106,10 +108,15 @@ class Sending:
             count = min(self._pacer.packets(now_ns), outgoing.left, MAX_BATCH)
             if outgoing.data_left:  # parity comes by itself: its encoding holds no data up
                 count = min(count, outgoing.data_left)
+            elif now_ns < outgoing.parity_ns:
+                return []
             if count == 0:
                 return []
             self._pacer.spend(count)
-            return self._seal_all(outgoing.take(count))
+            shards = outgoing.take(count)
+            if not outgoing.data_left and 0 < self.srtt_ns < SHORT_WAY_NS:
+                outgoing.parity_ns = outgoing.parity_ns or now_ns + 2 * self.srtt_ns + 1_000_000
+            return self._seal_all(shards)
         return []
 
     def urgent(self, message: bytes, budget_ns: int, now_ns: int) -> list[bytes]:
@@ -137,7 +144,9 @@ class Sending:
             times.append(self._copies[0][0])
         left = sum(outgoing.left for outgoing in self._waiting)
         if left:
-            times.append(self._pacer.ready_ns(left))
+            ready_ns = self._pacer.ready_ns(left)
+            first = next(o for o in self._waiting if o.left)
+            times.append(ready_ns if first.data_left else max(ready_ns, first.parity_ns))
         return min(times, default=None)
 
     def word(self, word: Word) -> bytes:
@@ -162,6 +171,9 @@ class Sending:
         """What the receiver saw of one message."""
         self._parity.on_report(report.received, report.lost)
         self._pacer.on_report(report.train_bytes, report.train_us)
+        outgoing = self._kept.get(report.message_id)
+        if outgoing is not None and report.whole:
+            outgoing.drop_rest()
         if report.lost:
             self._lossy_until_ns = now_ns + LOSSY_FOR_NS
 

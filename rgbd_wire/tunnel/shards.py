@@ -53,6 +53,8 @@ class Outgoing:
         self.rounds = 0
         """NACKs that were answered."""
         self.begun = False
+        self.parity_ns = 0
+        """Parity is held back until then, own clock."""
         self._next = 0
         self._fresh = self.symbols + parity
         self._head = Inner.SHARD | len(message) << 8
@@ -83,6 +85,10 @@ class Outgoing:
             ]
         self._next = after = min(first + count, self.symbols + self.parity)
         return self._repair_shards(first, after)
+
+    def drop_rest(self) -> None:
+        """It arrived whole: what was not taken yet is of no use."""
+        self._next = self.symbols + self.parity
 
     def take_fresh(self, count: int) -> list[bytes]:
         """Repair shards past the first round: each tells a receiver something new."""
