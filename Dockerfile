@@ -52,7 +52,7 @@ ENV PATH=/opt/aerial-contact/project/bin:/opt/aerial-contact/venv/bin:${PATH} \
     PYTHONUNBUFFERED=1
 WORKDIR /opt/aerial-contact
 USER 10001:10001
-EXPOSE 7447/tcp 8080/tcp
+EXPOSE 7447/tcp 7448/udp 8080/tcp
 
 # Of use to the service alone; whoever runs another role switches it off (see compose.yaml).
 HEALTHCHECK --interval=10s --timeout=3s --start-period=60s --retries=3 \

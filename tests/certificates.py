@@ -18,11 +18,17 @@ def make_ends(
     return folder
 
 
-def make_expired(folder: Path, name: str) -> Path:
-    """A drone's folder, signed by the authority in ``folder``, that was valid until yesterday."""
+def make_ending(folder: Path, name: str, ends_in: timedelta) -> Path:
+    """A drone's folder, signed by the authority in ``folder``, that is valid until soon.
+
+    Args:
+        folder: where ``make_ends`` made the authority.
+        name: the drone's.
+        ends_in: from now; negative: it has ended.
+    """
     authority = load_authority(folder / "authority", _now())
-    end = issue(authority, name, _now() - timedelta(days=2), 1)
-    home = folder / f"{name}-expired"
+    end = issue(authority, name, _now() + ends_in - timedelta(days=1), 1)
+    home = folder / f"{name}-ending"
     write(home, "ca.pem", authority.certificate_pem(), is_private=False)
     write(home, "cert.pem", end.certificate_pem(), is_private=False)
     write(home, "key.pem", end.key_pem(), is_private=True)

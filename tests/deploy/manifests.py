@@ -47,11 +47,26 @@ def only(objects: list[dict[str, Any]], kind: str) -> dict[str, Any]:
     return found
 
 
-def compose_with_defaults() -> dict[str, Any]:
-    """compose.yaml as an engine reads it when no variable is set."""
-    text = (ROOT / "compose.yaml").read_text(encoding="utf-8")
-    compose: dict[str, Any] = yaml.safe_load(_VARIABLE.sub(lambda m: m[2] or "", text))
-    return compose
+def compose_with_defaults(*files: str) -> dict[str, Any]:
+    """Compose files, each above those before it, as an engine reads them when no variable is set.
+
+    Args:
+        files: their names; none: compose.yaml alone.
+    """
+    merged: dict[str, Any] = {}
+    for name in files or ("compose.yaml",):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        merged = _above(merged, yaml.safe_load(_VARIABLE.sub(lambda m: m[2] or "", text)))
+    return merged
+
+
+def _above(below: Any, value: Any) -> Any:
+    """Mappings are merged, lists (ports, volumes) put together, all else replaced."""
+    if isinstance(below, dict) and isinstance(value, dict):
+        return below | {k: _above(below.get(k), v) for k, v in value.items()}
+    if isinstance(below, list) and isinstance(value, list):
+        return below + value
+    return value
 
 
 def dockerfile() -> list[tuple[str, str]]:

@@ -16,6 +16,7 @@ from drone_client.settings import ENV_PREFIX as DRONE_PREFIX
 from drone_client.settings import load_settings as load_drone_settings
 from edge_service.settings import PREFIX as EDGE_PREFIX
 from edge_service.settings import load_settings as load_edge_settings
+from tests.certificates import make_ends
 from tests.deploy.manifests import ROOT, compose_with_defaults
 
 
@@ -26,10 +27,21 @@ def schema_errors(file: Path) -> str:
     return "" if result.returncode == 0 else result.stdout + result.stderr
 
 
+WORKERS = ("worker-a", "worker-b")
+PLAIN = ("compose.yaml",)
+SECURE = ("compose.yaml", "compose.secure.yaml")
+
+
+@pytest.fixture(params=[PLAIN, SECURE], ids=["plain", "secure"])
+def files(request):
+    """The files that are given to the engine."""
+    return request.param
+
+
 @pytest.fixture
-def services():
+def services(files):
     """The services, with variables at their defaults."""
-    return compose_with_defaults()["services"]
+    return compose_with_defaults(*files)["services"]
 
 
 @pytest.fixture
@@ -46,21 +58,22 @@ def environment(monkeypatch, services):
     return use
 
 
-def test_the_file_is_valid():
+@pytest.mark.parametrize("file", SECURE)
+def test_a_file_is_valid(file):
     """It passes the schema of the compose specification."""
-    assert schema_errors(ROOT / "compose.yaml") == ""
+    assert schema_errors(ROOT / file) == ""
 
 
 def test_the_schema_sees_a_wrong_field(tmp_path):
     """The check above can fail: a misspelt field is refused."""
     compose = compose_with_defaults()
-    compose["services"]["worker"]["read-only"] = True
+    compose["services"]["worker-a"]["read-only"] = True
     file = tmp_path / "compose.yaml"
     file.write_text(yaml.safe_dump(compose), encoding="utf-8")
     assert "'read-only' was unexpected" in schema_errors(file)
 
 
-@pytest.mark.parametrize("name", ["worker", "drone"])
+@pytest.mark.parametrize("name", [*WORKERS, "drone"])
 def test_services_may_do_no_more_than_they_need(services, name):
     """A read-only root, no capability, no way to gain one, bounded memory and processes."""
     service = services[name]
@@ -73,30 +86,57 @@ def test_services_may_do_no_more_than_they_need(services, name):
         assert key not in service
 
 
-def test_ports_are_open_to_this_machine_alone(services):
-    """Each published port is bound to the loopback address."""
-    assert len(services["worker"]["ports"]) == 2
-    assert all(port.startswith("127.0.0.1:") for port in services["worker"]["ports"])
+def test_ports_are_open_to_this_machine_alone(services, files):
+    """Each published port is bound to the loopback address, and to a number of its own."""
+    ports = [port for name in WORKERS for port in services[name]["ports"]]
+    assert len(ports) == (6 if files == SECURE else 4)
+    assert all(port.startswith("127.0.0.1:") for port in ports)
+    outside = [(port.split(":")[1], port.endswith("/udp")) for port in ports]
+    assert len(set(outside)) == len(ports)
     assert "ports" not in services["drone"]
 
 
-def test_the_worker_accepts_its_settings(services, environment):
+@pytest.mark.parametrize("name", WORKERS)
+def test_a_worker_accepts_its_settings(services, environment, files, name):
     """The service takes every variable and listens where the published ports lead."""
-    environment("worker")
+    environment(name)
     settings = load_edge_settings()
-    targets = [int(port.rpartition(":")[2]) for port in services["worker"]["ports"]]
-    assert settings.listen_endpoints == (f"tcp/0.0.0.0:{targets[0]}",)
-    assert settings.http_address == ("0.0.0.0", targets[1])
+    assert settings.name == name
+    targets = [port.rpartition(":")[2] for port in services[name]["ports"]]
+    protocol = "tls" if files == SECURE else "tcp"
+    assert settings.listen_endpoints == (f"{protocol}/0.0.0.0:{targets[0]}",)
+    assert settings.http_address == ("0.0.0.0", int(targets[1]))
+    assert [f"0.0.0.0:{t.removesuffix('/udp')}" for t in targets[2:]] == (
+        [settings.udp_listen] if settings.udp_listen else []
+    )
 
 
-def test_the_drone_flies_against_the_worker(services, environment):
-    """The client takes every variable, connects to the worker's port and waits long enough."""
+def test_the_drone_is_at_home_with_both_workers(services, environment, files):
+    """The client takes every variable, connects to the workers' ports and waits long enough."""
     environment("drone")
     drone = load_drone_settings()
-    environment("worker")
-    port = load_edge_settings().listen_endpoints[0].rpartition(":")[2]
-    assert drone.endpoints == (f"tcp/worker:{port}",)
+    environment("worker-a")
+    worker = load_edge_settings()
+    protocol, _, port = worker.listen_endpoints[0].replace(":", "/").split("/")
+    assert drone.endpoints == tuple(f"{protocol}/{name}:{port}" for name in WORKERS)
     assert drone.wait_for_worker_s >= 60
+    assert worker.drone_names == ((drone.name,) if files == SECURE else ())
+
+
+def test_each_end_gets_its_own_keys_alone(tmp_path):
+    """What scripts/certificates makes for these names lies where the settings look for it."""
+    services = compose_with_defaults(*SECURE)["services"]
+    ends = make_ends(tmp_path / "certificates", drones=("drone",), workers=WORKERS)
+    for name in ("drone", *WORKERS):
+        (mount,) = [v for v in services[name]["volumes"] if isinstance(v, dict)]
+        assert mount["source"] == f"./certificates/{name}"
+        assert mount["read_only"] is True
+        assert mount["bind"]["create_host_path"] is False  # a missing folder is told, not made
+        inside = {f"{mount['target']}/{p.name}" for p in (ends / name).iterdir()}
+        used = services[name]["environment"]
+        folder = used.get("EDGE_ZENOH_TLS") or used["DRONE_TLS"]
+        keys = used.get("EDGE_TUNNEL_KEYS") or used["DRONE_KEY_FILE"]
+        assert inside == {f"{folder}/{f}" for f in ("ca.pem", "cert.pem", "key.pem")} | {keys}
 
 
 def test_the_drone_replays_what_ships_with_the_project(services):
@@ -107,7 +147,7 @@ def test_the_drone_replays_what_ships_with_the_project(services):
     context = group.commands[command[1]].make_context(command[1], list(command[2:]))
     assert (ROOT / context.params["folder"] / "camera.json").is_file()
     assert (ROOT / context.params["truth"]).is_file()
-    assert services["drone"]["volumes"] == [f"runs:{context.params['out']}"]
+    assert services["drone"]["volumes"][0] == f"runs:{context.params['out']}"
 
 
 def test_a_replay_ends(services):

@@ -28,7 +28,7 @@ def arguments() -> dict[str, str]:
 def health_commands() -> list[list[str]]:
     """The health checks of the image and of the compose file, as they are executed."""
     (image,) = [rest for name, rest in dockerfile() if name == "HEALTHCHECK"]
-    compose = compose_with_defaults()["services"]["worker"]["healthcheck"]["test"]
+    compose = compose_with_defaults()["services"]["worker-a"]["healthcheck"]["test"]
     return [json.loads(image.partition("CMD ")[2]), compose[1:]]
 
 
@@ -41,7 +41,14 @@ def test_the_dockerfile_lints_clean():
 
 def test_the_yaml_lints_clean():
     """Yamllint has nothing to say about any file of the deployment."""
-    command = [BIN / "yamllint", "--strict", "compose.yaml", "deploy", ".yamllint.yaml"]
+    command = [
+        BIN / "yamllint",
+        "--strict",
+        "compose.yaml",
+        "compose.secure.yaml",
+        "deploy",
+        ".yamllint.yaml",
+    ]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (result.returncode, result.stdout) == (0, "")
 
@@ -71,7 +78,7 @@ def test_the_image_does_not_run_as_root():
     assert "ENTRYPOINT" not in {name for name, _ in dockerfile()}
 
 
-def test_the_image_holds_every_package_but_the_training():
+def test_the_image_holds_every_package_that_a_role_needs():
     """What is copied exists, passes .dockerignore and covers the packages of both roles."""
     copied = {
         source
@@ -85,7 +92,13 @@ def test_the_image_holds_every_package_but_the_training():
     assert all((ROOT / source).exists() for source in copied)
     found = PROJECT["tool"]["setuptools"]["packages"]["find"]["include"]
     packages = {name.rstrip("*") for name in found}
-    assert packages - copied == {"detector_training"}
+    assert packages - copied == {"detector_training", "link_emulator"}
+
+
+def test_the_ports_are_those_of_both_links_and_of_http():
+    """What the image says that it listens on."""
+    (exposed,) = [rest.split() for name, rest in dockerfile() if name == "EXPOSE"]
+    assert exposed == ["7447/tcp", "7448/udp", "8080/tcp"]
 
 
 @pytest.mark.parametrize("command", health_commands())

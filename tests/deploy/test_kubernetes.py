@@ -10,10 +10,13 @@ from typing import Any
 import kubernetes_validate
 import pytest
 
+from deploy.certificates import TUNNEL_KEYS
 from edge_service.settings import NAME_PATTERN, PREFIX, EdgeSettings, load_settings
 from tests.deploy.manifests import OVERLAYS, of_kind, only, rendered
 from tests.deploy.pod_security import violations
 
+SECURE = {"cpu-secure"}
+"""Overlays with certificates and the UDP tunnel."""
 OLDEST = "1.30"
 """The first release with the sleep action switched on (docs/deploy.md)."""
 HTTP_STOP_S = 2
@@ -21,9 +24,21 @@ HTTP_STOP_S = 2
 
 
 @pytest.fixture(params=OVERLAYS)
-def objects(request: pytest.FixtureRequest) -> list[dict[str, Any]]:
-    """An overlay's objects."""
-    return rendered(request.param)
+def overlay(request: pytest.FixtureRequest) -> str:
+    """The name of an overlay."""
+    return str(request.param)
+
+
+@pytest.fixture
+def objects(overlay) -> list[dict[str, Any]]:
+    """The overlay's objects."""
+    return rendered(overlay)
+
+
+@pytest.fixture
+def is_secure(overlay) -> bool:
+    """Whether the overlay is meant for a network that is not to be trusted."""
+    return overlay in SECURE
 
 
 @pytest.fixture
@@ -54,9 +69,9 @@ def seconds_to_stop(pod: dict[str, Any], settings: EdgeSettings) -> float:
     return container["lifecycle"]["preStop"]["sleep"]["seconds"] + settings.drain_s + HTTP_STOP_S
 
 
-def test_there_is_an_overlay():
+def test_there_are_overlays():
     """The tests below have something to look at."""
-    assert "cpu" in OVERLAYS
+    assert {"cpu"} | SECURE <= set(OVERLAYS)
 
 
 @pytest.mark.parametrize("version", [OLDEST, kubernetes_validate.latest_version()])
@@ -75,16 +90,16 @@ def test_strict_validation_sees_a_wrong_field(objects):
         kubernetes_validate.validate(deployment, OLDEST, strict=True)
 
 
-def test_what_is_expected_is_there(objects):
+def test_what_is_expected_is_there(objects, is_secure):
     """A Deployment with its budget, namespace and settings, and a Service for each way in."""
     kinds = sorted(o["kind"] for o in objects)
-    services = ["Service"] * 3
-    expected = ["ConfigMap", "Deployment", "Namespace", "PodDisruptionBudget", *services]
-    assert kinds == expected
+    ways_in = {("TCP", 7447), ("TCP", 8080)} | ({("UDP", 7448)} if is_secure else set())
+    services = ["Service"] * len(ways_in)
+    assert kinds == ["ConfigMap", "Deployment", "Namespace", "PodDisruptionBudget", *services]
     ports = {
         (p["protocol"], p["port"]) for s in of_kind(objects, "Service") for p in s["spec"]["ports"]
     }
-    assert ports == {("TCP", 7447), ("UDP", 7448), ("TCP", 8080)}
+    assert ports == ways_in
 
 
 def test_everything_lies_in_one_restricted_namespace(objects):
@@ -125,15 +140,43 @@ def test_a_weaker_pod_is_not_admitted(pod, path, value):
     assert len(violations(pod)) == 1
 
 
-def test_the_pod_holds_no_key_and_writes_nothing(pod):
+def test_the_pod_writes_nothing_and_holds_no_key_of_the_clusters(pod):
     """No token, uid 10001, a read-only root, and a bounded /tmp as the one place to write."""
     (container,) = pod["containers"]
     assert pod["automountServiceAccountToken"] is False
     assert pod["securityContext"]["runAsUser"] == 10001
     assert container["securityContext"]["readOnlyRootFilesystem"] is True
-    assert [m["mountPath"] for m in container["volumeMounts"]] == ["/tmp"]
-    (volume,) = pod["volumes"]
-    assert "sizeLimit" in volume["emptyDir"]
+    writable = {
+        m["name"]: m["mountPath"] for m in container["volumeMounts"] if not m.get("readOnly")
+    }
+    assert writable == {"tmp": "/tmp"}
+    volumes = {v["name"]: v for v in pod["volumes"]}
+    assert "sizeLimit" in volumes["tmp"]["emptyDir"]
+
+
+def test_the_keys_are_secrets_that_the_worker_alone_can_read(objects, pod, settings, is_secure):
+    """They come from outside the files, by the group, to where the settings look for them."""
+    assert not of_kind(objects, "Secret")
+    (container,) = pod["containers"]
+    volumes = {v["name"]: v["secret"] for v in pod["volumes"] if "secret" in v}
+    mounts = {m["name"]: m for m in container["volumeMounts"] if m["name"] in volumes}
+    secrets = {v["secretName"]: mounts[name]["mountPath"] for name, v in volumes.items()}
+    if not is_secure:
+        assert (secrets, settings.zenoh_tls, settings.udp_listen) == ({}, None, "")
+        return
+    assert secrets == {
+        "edge-worker-tls": str(settings.zenoh_tls),
+        "edge-worker-tunnel-keys": str(settings.tunnel_keys.parent),
+    }
+    assert settings.tunnel_keys.name == TUNNEL_KEYS
+    assert {v["defaultMode"] for v in volumes.values()} == {0o440}
+    assert pod["securityContext"]["fsGroup"] == pod["securityContext"]["runAsGroup"]
+    assert not any("subPath" in m for m in mounts.values())  # or a new key would not arrive
+
+
+def test_with_certificates_the_drones_are_named(settings, is_secure):
+    """Zenoh has no wildcard for them."""
+    assert bool(settings.drone_names) is is_secure
 
 
 def test_memory_is_limited_and_cpu_is_not(pod, settings):
@@ -169,11 +212,14 @@ def test_the_worker_is_called_as_its_pod(pod):
     assert (variable["name"], field) == ("EDGE_NAME", "metadata.name")
 
 
-def test_the_ports_are_those_of_the_settings(pod, settings):
+def test_the_ports_are_those_of_the_settings(pod, settings, is_secure):
     """The container declares the ports on which the settings make the service listen."""
     ports = {p["name"]: (p["protocol"], p["containerPort"]) for p in pod["containers"][0]["ports"]}
     assert ports["http"] == ("TCP", settings.http_address[1])
-    assert settings.listen_endpoints == (f"tcp/0.0.0.0:{ports['zenoh'][1]}",)
+    protocol = "tls" if is_secure else "tcp"
+    assert settings.listen_endpoints == (f"{protocol}/0.0.0.0:{ports['zenoh'][1]}",)
+    assert ports["tunnel"] == ("UDP", 7448)
+    assert settings.udp_listen == ("0.0.0.0:7448" if is_secure else "")
 
 
 def test_each_probe_asks_for_its_own_thing(pod):
@@ -206,13 +252,14 @@ def test_each_service_leads_to_the_pods(objects, pod):
             assert ports[port["targetPort"]] == port["protocol"]
 
 
-def test_only_frames_are_reachable_from_outside(objects):
-    """One Service opens the cluster, without a second hop; HTTP and the tunnel stay inside."""
-    types = {s["metadata"]["name"]: s["spec"]["type"] for s in of_kind(objects, "Service")}
-    opened = {name for name, kind in types.items() if kind in ("LoadBalancer", "NodePort")}
-    assert opened == {"edge-zenoh"}
-    (zenoh,) = [s for s in of_kind(objects, "Service") if s["metadata"]["name"] in opened]
-    assert zenoh["spec"]["externalTrafficPolicy"] == "Local"
+def test_only_frames_are_reachable_from_outside(objects, is_secure):
+    """What opens the cluster does so without a second hop; HTTP stays inside."""
+    services = {s["metadata"]["name"]: s["spec"] for s in of_kind(objects, "Service")}
+    opened = {n for n, spec in services.items() if spec["type"] in ("LoadBalancer", "NodePort")}
+    assert opened == ({"edge-zenoh", "edge-udp"} if is_secure else {"edge-zenoh"})
+    for name in opened:
+        assert services[name]["externalTrafficPolicy"] == "Local"
+        assert services[name].get("sessionAffinity", "None") == "None"
 
 
 def test_the_budget_and_the_spread_look_at_the_pods(objects, pod):

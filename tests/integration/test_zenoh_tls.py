@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import socket
 import ssl
+from datetime import timedelta
 
 import pytest
 import zenoh
@@ -16,7 +17,7 @@ from edge_service.transport.zenoh import ZenohAddress, ZenohTransport
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.streams import FRAME, PREFIX, RESULT, worker_key, worker_status_key
 from rgbd_wire.tls_files import tls_files
-from tests.certificates import make_ends, make_expired
+from tests.certificates import make_ending, make_ends
 from tests.integration.zenoh_drone import open_session
 from tests.service_process import free_port
 from tests.unit.drone_client.builders import eventually
@@ -214,7 +215,7 @@ def test_only_a_valid_certificate_of_the_same_authority_opens_the_door(
     ends, foreign, worker, tmp_path
 ):
     """Expired, foreign and missing ones get an alert; the right one gets none."""
-    expired = make_expired(ends, "drone-1")
+    expired = make_ending(ends, "drone-1", -timedelta(hours=1))
     bare = tmp_path / "bare"
     bare.mkdir()
     (bare / "ca.pem").write_bytes((ends / "drone-1" / "ca.pem").read_bytes())
@@ -228,6 +229,18 @@ def test_only_a_valid_certificate_of_the_same_authority_opens_the_door(
     assert refused(worker.endpoint, bare)
     assert refused(worker.endpoint, stranger)
     assert refused(worker.endpoint, foreign / "drone-1") == "we refuse it"
+
+
+def test_a_connection_ends_with_its_certificate(ends, worker):
+    """A drone that has been let in stays no longer than its certificate says."""
+    files = tls_files(make_ending(ends, "drone-1", timedelta(seconds=4)))
+    assert "expires on" in files.warnings[0]
+    seen = queue.Queue()
+    link = ZenohLink("drone-1", (worker.endpoint,), MonotonicClock(), files)
+    link.start(lambda *_: None, lambda: seen.put(link.workers()))
+    assert seen.get(timeout=WAIT_S) == ("worker-a",)
+    assert seen.get(timeout=WAIT_S) == ()
+    link.close()
 
 
 def test_a_peer_without_tls_gets_nowhere(worker):

@@ -9,7 +9,7 @@ from cryptography import x509
 
 from rgbd_wire.errors import TlsFilesError
 from rgbd_wire.tls_files import WARN_BEFORE, tls_files
-from tests.certificates import make_ends, make_expired
+from tests.certificates import make_ending, make_ends
 
 DAYS = 30
 
@@ -50,7 +50,7 @@ def test_a_certificate_that_ends_soon_is_warned_of_and_one_that_ended_is_refused
 def test_an_expired_certificate_is_refused_today(ends):
     """By this machine's own clock."""
     with pytest.raises(TlsFilesError, match="expired on"):
-        tls_files(make_expired(ends, "drone-1"))
+        tls_files(make_ending(ends, "drone-1", -timedelta(hours=1)))
 
 
 def test_a_clock_that_is_far_behind_is_named(ends):
