@@ -135,6 +135,42 @@ def test_newest_wins_over_the_real_link():
         assert sorted(drone.acks) == [0, 2, 3, 5]
 
 
+def test_a_detector_that_stands_still_lets_nothing_queue_up():
+    """Of 200 frames behind one that hangs, each is acknowledged at once, and the newest remains."""
+    detector = HeldDetector()
+    n = 200
+    with running(detector) as service, flying(service.endpoint) as drone:
+        drone.send(frame(0))
+        assert detector.entered.acquire(timeout=20)
+        for sequence in range(1, n + 1):
+            drone.send(frame(sequence))
+            drone.wait_for(lambda d, s=sequence: d.acks[-1:] == [s])
+        drone.wait_for(lambda d: len(d.results) == n - 1)
+        assert {r.outcome for r in drone.results} == {Outcome.SUPERSEDED}
+        detector.go.release(2)
+        drone.wait_for(lambda d: len(d.results) == n + 1)
+        assert [(r.sequence, r.outcome) for r in drone.results[-2:]] == [
+            (0, Outcome.TARGET),
+            (n, Outcome.TARGET),
+        ]
+
+
+def test_probes_are_echoed_past_a_detector_that_stands_still():
+    """The echo is the network's round trip and nothing else."""
+    detector = HeldDetector()
+    with running(detector) as service, flying(service.endpoint) as drone:
+        drone.send(frame(0))
+        assert detector.entered.acquire(timeout=20)
+        drone.probe(7)
+        drone.wait_for(lambda d: d.echoes)
+        (echo,) = drone.echoes
+        assert echo.sequence == 7
+        assert 0 < echo.t2_ns <= echo.t3_ns
+        assert echo.worker_boot_id != 0
+        detector.go.release()
+        drone.wait_for(settled(0))
+
+
 def test_the_token_follows_the_service_and_a_drain_turns_frames_away():
     """Drones see the worker while it takes frames; what comes later is told to go elsewhere."""
     detector = HeldDetector()

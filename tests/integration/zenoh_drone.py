@@ -10,7 +10,8 @@ import zenoh
 
 from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.messages import Ack, Result, decode_ack, decode_result
-from rgbd_wire.streams import FRAME, RESULT, worker_key
+from rgbd_wire.probe import Probe, decode_probe, seal_probe
+from rgbd_wire.streams import FRAME, PROBE, RESULT, worker_key
 
 TIMEOUT_S = 30.0
 
@@ -38,6 +39,9 @@ class Drone:
 
     def __init__(self, session, name, worker):
         self.received = []
+        self.echoes = []
+        self._session = session
+        self._probe_key = PROBE.key(name, worker)
         self.urgency = set()
         """Priority, express and congestion control of what came."""
         self.workers = {}
@@ -55,6 +59,15 @@ class Drone:
     def send(self, data):
         """Publish one message."""
         self._frames.put(data)
+
+    def probe(self, sequence):
+        """Send a probe."""
+        self._session.put(
+            self._probe_key,
+            seal_probe(Probe(1, sequence, t1_ns=1)),
+            priority=zenoh.Priority.REAL_TIME,
+            express=True,
+        )
 
     def wait_for(self, condition):
         """Wait until ``condition(self)`` holds."""
@@ -74,7 +87,12 @@ class Drone:
         return [m for m in self.received if isinstance(m, Result)]
 
     def _on_answer(self, sample):
-        kind, body = unseal(sample.payload.to_bytes(), Kind.ACK, Kind.RESULT)
+        kind, body = unseal(sample.payload.to_bytes(), Kind.ACK, Kind.RESULT, Kind.PROBE)
+        if kind is Kind.PROBE:
+            with self._changed:
+                self.echoes.append(decode_probe(body))
+                self._changed.notify_all()
+            return
         message = decode_ack(body) if kind is Kind.ACK else decode_result(body)
         urgency = str(sample.priority), sample.express, str(sample.congestion_control)
         with self._changed:
