@@ -17,7 +17,7 @@ from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.errors import DecodeError
 from rgbd_wire.frame_codec import unpack
 from rgbd_wire.messages import Outcome
-from rgbd_wire.probe import PROBE_BYTES, decode_probe
+from rgbd_wire.probe import decode_probe
 
 log = logging.getLogger(__name__)
 
@@ -54,7 +54,7 @@ class Intake:
             t2_ns: its last byte at the socket, worker's clock.
         """
         try:
-            if len(data) == PROBE_BYTES and data[_KIND_OFFSET] == Kind.PROBE:
+            if len(data) > _KIND_OFFSET and data[_KIND_OFFSET] == Kind.PROBE:
                 self._on_probe(drone, data, t2_ns)
             else:
                 self._on_frame(drone, data, t2_ns)

@@ -176,7 +176,7 @@ def test_a_probe_comes_back_at_once_with_the_workers_stamps():
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (seal(Kind.PROBE, bytes(47)), Reject.WRONG_KIND),
+        (seal(Kind.PROBE, bytes(47)), Reject.WRONG_SIZE),
         (seal(Kind.PROBE, bytes(40) + b"\xff" * 8), Reject.BAD_HEADER),
         (seal_probe(Probe(1, 2, 3))[:-1] + b"x", Reject.CHECKSUM),
         (seal(Kind.STATUS, bytes(48)), Reject.WRONG_KIND),
