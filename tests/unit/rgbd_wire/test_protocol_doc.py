@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -18,9 +19,11 @@ from rgbd_wire.messages import (
     LevelBox,
     Outcome,
     Result,
+    Status,
     TargetPose,
 )
-from rgbd_wire.streams import FRAME, PREFIX, RESULT, worker_key
+from rgbd_wire.probe import PROBE_BYTES, Probe
+from rgbd_wire.streams import FRAME, PREFIX, PROBE, RESULT, worker_key, worker_status_key
 
 PAGE = (Path(__file__).parents[3] / "docs" / "protocol.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^##+ (.+?)\n(.*?)(?=^##+ |\Z)", PAGE, re.MULTILINE | re.DOTALL))
@@ -39,6 +42,7 @@ def first_cells(section, heading):
         ("FRAME", "Intrinsics field", Intrinsics),
         ("ACK", "field", Ack),
         ("RESULT", "field", Result),
+        ("STATUS", "field", Status),
         ("RESULT", "TargetPose field", TargetPose),
         ("RESULT", "LevelBox field", LevelBox),
     ],
@@ -69,13 +73,23 @@ def test_the_envelope():
     assert PAGE.startswith(f"# Protocol, version {VERSION}\n")
 
 
+def test_the_probe():
+    """Its fields in their order, eight bytes each behind the envelope."""
+    rows = re.findall(r"^\| +(\d+) \| `(\w+)`", SECTIONS["PROBE"], re.MULTILINE)
+    names = [field.name for field in dataclasses.fields(Probe)]
+    assert rows == [(str(PREFIX_BYTES + 8 * i), name) for i, name in enumerate(names)]
+    assert f"{PROBE_BYTES} bytes" in SECTIONS["PROBE"]
+
+
 def test_keys():
     """The keys are those of the stream table, and carry the version."""
     assert PREFIX.endswith(f"/v{VERSION}")
     for key in (
         FRAME.key("{drone}", "{worker}"),
         RESULT.key("{drone}", "{worker}"),
+        PROBE.key("{drone}", "{worker}"),
         worker_key("{worker}"),
+        worker_status_key("{worker}"),
     ):
         assert f"`{key}`" in SECTIONS["Channels"]
 
