@@ -231,6 +231,10 @@ _CONFIG: dict[str, object] = {
     "scouting/gossip/enabled": False,
     "transport/shared_memory/enabled": False,
     "transport/link/protocols": ["tcp"],
+    # Room for some poses while the sending thread gets no core, and no waiting for more: the
+    # default of two batches is one pose, and holds up the caller by 1 ms for each that is full
+    "transport/link/tx/queue/size/data": 16,
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
     # We subscribe to nothing: whatever comes in is small
     "transport/link/rx/max_message_size": 1_000_000,
 }
