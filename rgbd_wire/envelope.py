@@ -47,7 +47,7 @@ MAX_BODY_BYTES = {
 """A 640x480 frame weighs about 0.1 MB; the bound fits eight-megapixel pictures of real scenes."""
 
 
-def seal(kind: Kind, *parts: bytes) -> bytes:
+def seal(kind: Kind, *parts: bytes | memoryview) -> bytes:
     """Put the parts of a body into one envelope."""
     head = _HEAD.pack(MAGIC, VERSION, kind, 0, sum(map(len, parts)))
     checksum = zlib.crc32(head)

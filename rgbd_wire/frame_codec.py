@@ -4,7 +4,8 @@ The work comes in two halves on both sides, so that each runs where it belongs. 
 ``compress`` is costly and knows no time; ``pack`` stamps t1 and copies. Receiving: ``unpack`` is
 cheap and checks everything but the pictures, ``decompress`` decodes them.
 
-Body of a FRAME envelope: u32 length of the header, header, colour, depth (docs/protocol.md).
+Body of a FRAME envelope: u32 length of the header, header, colour, depth, the depth's region
+(docs/protocol.md).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from rgbd_wire.color import DEFAULT_JPEG_QUALITY, decode_color, encode_color
-from rgbd_wire.depth import DepthTable, decode_depth, encode_depth
+from rgbd_wire.depth import ALL_OF_IT, NO_DEPTH, CodedDepth, DepthPlan, decode_depth, encode_depth
 from rgbd_wire.envelope import Kind, seal, unseal
 from rgbd_wire.errors import DecodeError, GeometryError, Reject
 from rgbd_wire.frame import RgbdFrame
@@ -32,19 +33,29 @@ _HEADER_LENGTH = struct.Struct("<I")
 MAX_HEADER_BYTES = 2048
 
 
+@dataclass(frozen=True, slots=True)
+class Encoding:
+    """How a frame is compressed."""
+
+    jpeg_quality: int = DEFAULT_JPEG_QUALITY
+    depth: DepthPlan = ALL_OF_IT
+
+
+BEST = Encoding()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CompressedFrame:
-    """A frame's pictures, compressed, and what the header says of them."""
+    """A frame's pictures, compressed."""
 
     frame: RgbdFrame
     color: bytes
-    depth: bytes
-    depth_table: DepthTable
+    depth: CodedDepth
 
     @property
     def size_bytes(self) -> int:
-        """Bytes of both pictures."""
-        return len(self.color) + len(self.depth)
+        """Bytes of all pictures."""
+        return len(self.color) + self.depth.size_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,22 +78,23 @@ class PackedFrame:
     camera: RgbdCamera
     world_from_camera: Pose | None
     color: memoryview
-    depth: memoryview
+    depth: CodedDepth
 
 
-def compress(frame: RgbdFrame, jpeg_quality: int = DEFAULT_JPEG_QUALITY) -> CompressedFrame:
-    """Compress both pictures of a frame; depth without loss."""
-    color = encode_color(frame.color_rgb, jpeg_quality)
-    depth, table = b"", DepthTable.IDENTITY
+def compress(frame: RgbdFrame, encoding: Encoding = BEST) -> CompressedFrame:
+    """Compress both pictures of a frame; what is sent of the depth, without loss."""
+    color = encode_color(frame.color_rgb, encoding.jpeg_quality)
+    depth, camera = NO_DEPTH, frame.camera
     if frame.depth_units is not None:
-        camera = frame.camera
-        table, depth = encode_depth(frame.depth_units, camera.depth_lattice_m, camera.depth_scale_m)
-    return CompressedFrame(frame, color, depth, table)
+        depth = encode_depth(
+            frame.depth_units, camera.depth_lattice_m, camera.depth_scale_m, encoding.depth
+        )
+    return CompressedFrame(frame, color, depth)
 
 
 def pack(compressed: CompressedFrame, stamp: FrameStamp) -> bytes:
     """A whole FRAME message."""
-    frame, camera = compressed.frame, compressed.frame.camera
+    frame, camera, depth = compressed.frame, compressed.frame.camera, compressed.depth
     aligned = camera.aligned
     header = FrameHeader(
         drone=stamp.drone,
@@ -99,14 +111,16 @@ def pack(compressed: CompressedFrame, stamp: FrameStamp) -> bytes:
         world_from_camera=(
             None if frame.world_from_camera is None else pose_numbers(frame.world_from_camera)
         ),
-        depth_table=compressed.depth_table,
+        depth_table=depth.table,
         color_bytes=len(compressed.color),
-        depth_bytes=len(compressed.depth),
+        depth_bytes=len(depth.coarse),
+        depth_step=depth.step,
+        depth_region=depth.region,
+        region_bytes=len(depth.fine),
     )
     head = encode_header(header)
-    return seal(
-        Kind.FRAME, _HEADER_LENGTH.pack(len(head)), head, compressed.color, compressed.depth
-    )
+    parts = (_HEADER_LENGTH.pack(len(head)), head, compressed.color, depth.coarse, depth.fine)
+    return seal(Kind.FRAME, *parts)
 
 
 def unpack(data: bytes | memoryview) -> PackedFrame:
@@ -125,20 +139,28 @@ def unpack(data: bytes | memoryview) -> PackedFrame:
     if head_end > len(body):
         raise DecodeError(Reject.TRUNCATED, f"header of {head_bytes} in {len(body)} bytes")
     header = decode_header(body[_HEADER_LENGTH.size : head_end])
-    if head_end + header.color_bytes + header.depth_bytes != len(body):
+    color_end = head_end + header.color_bytes
+    depth_end = color_end + header.depth_bytes
+    if depth_end + header.region_bytes != len(body):
         raise DecodeError(
             Reject.WRONG_SIZE,
-            f"header {head_bytes} + colour {header.color_bytes} + depth {header.depth_bytes} "
-            f"in {len(body)} bytes",
+            f"header {head_bytes} + colour {header.color_bytes} + depth {header.depth_bytes} + "
+            f"region {header.region_bytes} in {len(body)} bytes",
         )
-    color_end = head_end + header.color_bytes
+    _check_region(header)
     pose = header.world_from_camera
     return PackedFrame(
         header=header,
         camera=_camera(header),
         world_from_camera=None if pose is None else pose_of(pose),
         color=body[head_end:color_end],
-        depth=body[color_end:],
+        depth=CodedDepth(
+            header.depth_table,
+            header.depth_step,
+            body[color_end:depth_end],
+            header.depth_region,
+            body[depth_end:],
+        ),
     )
 
 
@@ -154,13 +176,30 @@ def decompress(packed: PackedFrame) -> RgbdFrame:
     if header.depth_bytes:
         depth_units = decode_depth(
             packed.depth,
-            header.depth_table,
             camera.depth.width,
             camera.depth.height,
             camera.depth_lattice_m,
             camera.depth_scale_m,
         )
     return RgbdFrame(color_rgb, depth_units, camera, header.t_capture_ns, packed.world_from_camera)
+
+
+def _check_region(header: FrameHeader) -> None:
+    """Refuse a region without a picture, a picture without a region, and either without depth."""
+    region = header.depth_region
+    if (region is None) != (header.region_bytes == 0):
+        raise DecodeError(Reject.BAD_HEADER, f"region {region} of {header.region_bytes} bytes")
+    if not header.depth_bytes and (header.depth_step, region) != (1, None):
+        raise DecodeError(Reject.BAD_HEADER, "a step or region without a depth picture")
+    if region is None:
+        return
+    lens = header.color if header.depth is None else header.depth
+    x0, y0, x1, y1 = region
+    if header.depth_step == 1 or not (x0 < x1 <= lens.width and y0 < y1 <= lens.height):
+        raise DecodeError(
+            Reject.BAD_HEADER,
+            f"region {region} of {lens.width}x{lens.height} at step {header.depth_step}",
+        )
 
 
 def _to_wire(camera: CameraIntrinsics) -> Intrinsics:

@@ -7,7 +7,7 @@ decoding; that numbers are finite and quaternions of unit length, when they beco
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, TypeAlias, TypeVar
+from typing import Annotated, Literal, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
@@ -30,6 +30,7 @@ MAX_POSE_NUMBER = 1e6
 """No pose lies further out [m]: what both ends compute with it stays finite."""
 COVARIANCE_NUMBERS = 21
 MAX_COVARIANCE_NUMBER = 1e12
+Pixels: TypeAlias = Annotated[int, Meta(ge=0, le=4096)]
 Pixel: TypeAlias = Annotated[float, Meta(ge=-1e5, le=1e5)]
 Score: TypeAlias = Annotated[float, Meta(ge=0, le=1)]
 
@@ -76,6 +77,13 @@ class FrameHeader(_Message, frozen=True):
     color_bytes: Annotated[int, Meta(ge=1, le=2**23)]
     depth_bytes: Annotated[int, Meta(ge=0, le=2**23)]
     """0: a frame without depth."""
+    depth_step: Literal[1, 2, 4]
+    """The depth picture holds every so-manieth row and column."""
+    depth_region: tuple[Pixels, Pixels, Pixels, Pixels] | None
+    """x0, y0, x1, y1 in pixels of the depth picture: sent at full resolution, as a picture of its
+    own."""
+    region_bytes: Annotated[int, Meta(ge=0, le=2**23)]
+    """Of that picture."""
 
 
 class Ack(_Message, frozen=True):

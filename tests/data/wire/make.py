@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.frame import RgbdFrame
-from rgbd_wire.frame_codec import FrameStamp, compress, pack, unpack
+from rgbd_wire.depth import DepthPlan
+from rgbd_wire.frame_codec import BEST, Encoding, FrameStamp, compress, pack, unpack
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import (
     Ack,
@@ -53,11 +54,17 @@ ALIGNED = RgbdCamera(COLOR, COLOR, depth_scale_m=0.0002, color_from_depth=Pose.i
 WORLD_FROM_CAMERA = Pose(np.array([1.5, -2.25, 0.75]), np.array([0.5, -0.5, 0.5, -0.5]))
 CAMERA_FROM_TARGET = Pose(np.array([0.125, -0.25, 2.5]), np.array([0.5, 0.5, 0.5, -0.5]))
 
+REGION_PX = (20, 12, 44, 31)
+REGION = DepthPlan(2, REGION_PX)
+
 FORMULAS = {
     "color_rgb": "R = 4 u, G = 5 v, B = 128 at column u, row v; JPEG is lossy: within 16",
     "frame_stereo.depth_units": (
         "round half to even of (depth_lattice_m / depth_scale_m) / (50 + 2 u + v); "
         "0 where u < 6 or v < 2"
+    ),
+    "frame_region.depth_units": (
+        "as frame_stereo's where 20 <= u < 44 and 12 <= v < 31, or where u and v are even; else 0"
     ),
     "frame_aligned.depth_units": "5000 + 300 u + 7 v v; 0 where u < 6 or v < 2",
 }
@@ -92,7 +99,24 @@ def frames() -> dict[str, tuple[RgbdFrame, FrameStamp]]:
         "frame_stereo": (stereo, _stamp(7, 1_004_000_000)),
         "frame_aligned": (aligned, _stamp(8, 1_037_333_333)),
         "frame_color_only": (no_depth, _stamp(9, 1_070_666_666)),
+        "frame_region": (stereo, _stamp(10, 1_100_000_000)),
     }
+
+
+def encoding(name: str) -> Encoding:
+    """How a frame is compressed."""
+    return Encoding(depth=REGION) if name == "frame_region" else BEST
+
+
+def arriving_depth(name: str) -> NDArray[np.uint16] | None:
+    """The depth picture that a frame decodes to: what its plan leaves out is 0."""
+    units = frames()[name][0].depth_units
+    if name != "frame_region" or units is None:
+        return units
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    x0, y0, x1, y1 = REGION_PX
+    inside = (x0 <= u) & (u < x1) & (y0 <= v) & (v < y1)
+    return np.where(inside | ((u % 2 == 0) & (v % 2 == 0)), units, 0).astype(np.uint16)
 
 
 def messages() -> dict[str, Ack | Result]:
@@ -162,11 +186,12 @@ def main() -> None:
     """Write every vector and their description."""
     described: dict[str, Any] = {"formulas": FORMULAS, "messages": {}}
     for name, (frame, stamp) in frames().items():
-        data = pack(compress(frame), stamp)
+        data = pack(compress(frame, encoding(name)), stamp)
         (HERE / f"{name}.bin").write_bytes(data)
         entry = describe(data, named(unpack(data).header))
-        if frame.depth_units is not None:
-            little_endian = frame.depth_units.astype("<u2").tobytes()
+        units = arriving_depth(name)
+        if units is not None:
+            little_endian = units.astype("<u2").tobytes()
             entry["depth_u16le_sha256"] = hashlib.sha256(little_endian).hexdigest()
         described["messages"][f"{name}.bin"] = entry
     for name, message in messages().items():

@@ -15,6 +15,9 @@ from hypothesis.extra import numpy as hnp
 
 from rgbd_wire.depth import (
     MAX_DEPTH_UNITS,
+    STEPS,
+    CodedDepth,
+    DepthPlan,
     DepthTable,
     decode_depth,
     encode_depth,
@@ -32,14 +35,19 @@ scales = st.sampled_from([1e-5, 0.0002, 0.001, 0.1])
 
 
 def round_trip(picture, lattice_m, scale_m):
-    table, data = encode_depth(picture, lattice_m, scale_m)
+    coded = encode_depth(picture, lattice_m, scale_m)
     height, width = picture.shape
-    return table, decode_depth(data, table, width, height, lattice_m, scale_m)
+    return coded.table, decode_depth(coded, width, height, lattice_m, scale_m)
+
+
+def whole(data, table=DepthTable.IDENTITY):
+    """A depth picture that was sent as it is."""
+    return CodedDepth(table, 1, data, None, b"")
 
 
 def refusal(data, table=DepthTable.IDENTITY, width=64, height=48, lattice_m=0.0):
     with pytest.raises(DecodeError) as caught:
-        decode_depth(data, table, width, height, lattice_m, MILLIMETRE)
+        decode_depth(whole(data, table), width, height, lattice_m, MILLIMETRE)
     assert caught.value.reason is Reject.BAD_DEPTH
     return caught.value.detail
 
@@ -87,9 +95,93 @@ def test_ranks_pay(rng):
     disparity = np.linspace(230, 330, 640) + rng.integers(-3, 4, (120, 640))
     picture = np.rint(D455_LATTICE_M / MILLIMETRE / np.rint(disparity)).astype(np.uint16)
     assert np.isin(picture, values).all()
-    _, ranked = encode_depth(picture, D455_LATTICE_M, MILLIMETRE)
-    _, plain = encode_depth(picture, 0.0, MILLIMETRE)
-    assert len(ranked) < 0.7 * len(plain)
+    ranked = encode_depth(picture, D455_LATTICE_M, MILLIMETRE)
+    plain = encode_depth(picture, 0.0, MILLIMETRE)
+    assert ranked.size_bytes < 0.7 * plain.size_bytes
+
+
+sides = st.integers(-8, 48)
+plans = st.builds(
+    DepthPlan,
+    st.sampled_from(STEPS),
+    st.none() | st.tuples(sides, sides, sides, sides),
+    st.none() | st.floats(0.001, 100),
+)
+
+
+@given(any_picture, lattices, scales, plans)
+def test_exactly_what_the_plan_says_arrives_and_without_loss(picture, lattice_m, scale_m, plan):
+    """Pixel by pixel: in the region, or on the step, and in range, as it was; elsewhere 0."""
+    height, width = picture.shape
+    coded = encode_depth(picture, lattice_m, scale_m, plan)
+    decoded = decode_depth(coded, width, height, lattice_m, scale_m)
+    v, u = np.mgrid[:height, :width]
+    sent = (u % plan.step == 0) & (v % plan.step == 0)
+    if plan.region is not None:
+        x0, y0, x1, y1 = plan.region
+        sent |= (x0 <= u) & (u < x1) & (y0 <= v) & (v < y1)
+    if plan.range_max_m is not None:
+        sent &= picture <= plan.range_max_m / scale_m
+    np.testing.assert_array_equal(decoded, np.where(sent, picture, 0))
+    assert coded.size_bytes == len(coded.coarse) + len(coded.fine)
+
+
+def test_a_region_saves_bytes(rng):
+    """Half outside, quarter outside: each less than the one before, and the region whole."""
+    values = lattice_values(D455_LATTICE_M, MILLIMETRE)
+    disparity = np.linspace(230, 330, 640) + rng.integers(-3, 4, (480, 640))
+    picture = np.rint(D455_LATTICE_M / MILLIMETRE / np.rint(disparity)).astype(np.uint16)
+    assert np.isin(picture, values).all()
+    sizes = [
+        encode_depth(picture, D455_LATTICE_M, MILLIMETRE, DepthPlan(step, (260, 180, 380, 300)))
+        for step in STEPS
+    ]
+    full, half, quarter = (coded.size_bytes for coded in sizes)
+    assert half < 0.5 * full
+    assert quarter < 0.6 * half
+
+
+@pytest.mark.parametrize("plan", [{"step": 3}, {"step": 0}, {"range_max_m": 0.0}])
+def test_plans_that_cannot_be(plan):
+    """A step that is no step, a range that is none."""
+    with pytest.raises(ValueError, match=r"step|range"):
+        DepthPlan(**plan)
+
+
+@pytest.mark.parametrize(
+    ("step", "region", "fine"),
+    [
+        (1, (0, 0, 8, 8), b"x"),
+        (2, (0, 0, 8, 8), b""),
+        (2, None, b"x"),
+        (2, (8, 0, 8, 8), b"x"),
+        (2, (0, 0, 65, 8), b"x"),
+        (2, (0, 0, 8, 49), b"x"),
+        (2, (0, 0, 8, 8), b"x"),
+    ],
+)
+def test_regions_that_cannot_be(step, region, fine):
+    """Outside the picture, empty, without bytes, bytes without it, at full resolution."""
+    coarse = jxl(np.ascontiguousarray(ramp()[::step, ::step]))
+    with pytest.raises(DecodeError) as caught:
+        decode_depth(
+            CodedDepth(DepthTable.IDENTITY, step, coarse, region, fine), 64, 48, 0.0, MILLIMETRE
+        )
+    assert caught.value.reason is Reject.BAD_DEPTH
+
+
+def test_parts_of_another_size():
+    """The coarse picture and the region have the sizes that follow from the header."""
+    half, part = jxl(ramp(32, 24)), jxl(ramp(8, 8))
+    good = CodedDepth(DepthTable.IDENTITY, 2, half, (8, 8, 16, 16), part)
+    assert decode_depth(good, 64, 48, 0.0, MILLIMETRE).shape == (48, 64)
+    for bad in (
+        CodedDepth(DepthTable.IDENTITY, 4, half, (8, 8, 16, 16), part),
+        CodedDepth(DepthTable.IDENTITY, 2, half, (8, 8, 17, 16), part),
+        CodedDepth(DepthTable.IDENTITY, 2, part, (8, 8, 16, 16), half),
+    ):
+        with pytest.raises(DecodeError):
+            decode_depth(bad, 64, 48, 0.0, MILLIMETRE)
 
 
 @pytest.mark.parametrize("a_units", [0.3, 0.5, 1.0, 7.3, 100.0, 3141.59, 20_000.5, 65_535.0])
@@ -130,7 +222,7 @@ def test_a_rank_that_does_not_exist():
     """A rank past the last value is refused, and the last one is not."""
     values = lattice_values(0.3, MILLIMETRE)
     picture = np.full((48, 64), values.size - 1, np.uint16)
-    decoded = decode_depth(jxl(picture), DepthTable.LATTICE, 64, 48, 0.3, MILLIMETRE)
+    decoded = decode_depth(whole(jxl(picture), DepthTable.LATTICE), 64, 48, 0.3, MILLIMETRE)
     assert (decoded == values[-1]).all()
     picture[47, 63] = values.size
     assert "rank" in refusal(jxl(picture), DepthTable.LATTICE, lattice_m=0.3)
@@ -192,8 +284,8 @@ def test_a_small_file_that_claims_a_huge_picture():
 @given(st.binary(max_size=100))
 def test_garbage(data):
     """Bytes that are no JPEG XL: bare, behind its signature, behind a whole and plain header."""
-    whole = jxl(ramp())
-    header = whole[whole.index(b"\xff\x0a") :][:12]
+    good = jxl(ramp())
+    header = good[good.index(b"\xff\x0a") :][:12]
     for start in (b"", b"\xff\x0a", header):
         refusal(start + data)
 
@@ -205,7 +297,7 @@ def test_damaged_files_decode_or_are_refused(data):
     for _ in range(data.draw(st.integers(1, 4))):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
     try:
-        decoded = decode_depth(bytes(damaged), DepthTable.IDENTITY, 64, 48, 0.0, MILLIMETRE)
+        decoded = decode_depth(whole(bytes(damaged)), 64, 48, 0.0, MILLIMETRE)
     except DecodeError as error:
         decoded = error.reason
     assert decoded is Reject.BAD_DEPTH or decoded.shape == (48, 64)

@@ -83,7 +83,7 @@ def test_one_flipped_bit_anywhere():
         (envelope(version=0), Reject.WRONG_VERSION),
         (envelope(version=VERSION + 1), Reject.WRONG_VERSION),
         (envelope(kind=0), Reject.WRONG_KIND),
-        (envelope(kind=4), Reject.WRONG_KIND),
+        (envelope(kind=6), Reject.WRONG_KIND),
         (envelope(kind=255), Reject.WRONG_KIND),
         (envelope(reserved=1), Reject.BAD_HEADER),
         (envelope(reserved=0x8000), Reject.BAD_HEADER),

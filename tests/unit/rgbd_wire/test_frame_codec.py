@@ -11,12 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
-from rgbd_wire.depth import DepthTable, lattice_values
+from rgbd_wire.depth import NO_DEPTH, DepthPlan, DepthTable, lattice_values
 from rgbd_wire.envelope import Kind, seal, unseal
 from rgbd_wire.errors import DecodeError, GeometryError, Reject
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.frame_codec import (
     MAX_HEADER_BYTES,
+    Encoding,
     FrameStamp,
     compress,
     decompress,
@@ -126,9 +127,9 @@ def test_round_trip(camera, depth, pose, sequence, t_ns):
 
 def test_tables():
     """A sensor's lattice goes out as ranks, any other depth as it is, no depth as nothing."""
-    assert compress(frame_of(STEREO)).depth_table is DepthTable.LATTICE
-    assert compress(frame_of(ALIGNED)).depth_table is DepthTable.IDENTITY
-    assert compress(frame_of(ALIGNED, depth=False)).depth == b""
+    assert compress(frame_of(STEREO)).depth.table is DepthTable.LATTICE
+    assert compress(frame_of(ALIGNED)).depth.table is DepthTable.IDENTITY
+    assert compress(frame_of(ALIGNED, depth=False)).depth is NO_DEPTH
 
 
 def test_aligned_cameras_are_sent_once():
@@ -139,8 +140,11 @@ def test_aligned_cameras_are_sent_once():
 
 def test_size_and_quality():
     """``size_bytes`` is both pictures; a lower JPEG quality makes the colour smaller."""
-    fine, coarse = compress(frame_of(STEREO), 95), compress(frame_of(STEREO), 30)
-    assert fine.size_bytes == len(fine.color) + len(fine.depth)
+    fine, coarse = (
+        compress(frame_of(STEREO), Encoding(95)),
+        compress(frame_of(STEREO), Encoding(30)),
+    )
+    assert fine.size_bytes == len(fine.color) + fine.depth.size_bytes
     assert len(coarse.color) < len(fine.color)
     assert coarse.depth == fine.depth
 
@@ -149,7 +153,7 @@ def test_pictures_are_not_copied(message):
     """``unpack`` gives views into the received bytes."""
     packed = unpack(message)
     assert packed.color.obj is message
-    assert packed.depth.obj is message
+    assert packed.depth.coarse.obj is message
 
 
 def test_a_view_of_a_larger_buffer_unpacks(message):
@@ -227,6 +231,56 @@ def test_a_padded_header(message):
     head = encode_header(header) + b"\xc0"
     padded = seal(Kind.FRAME, struct.pack("<I", len(head)), head, color, depth)
     assert refusal(padded) is Reject.BAD_HEADER
+
+
+@pytest.fixture(scope="module")
+def region_message():
+    """A FRAME message whose depth has a region."""
+    plan = DepthPlan(2, (8, 4, 32, 20))
+    return pack(compress(frame_of(STEREO), Encoding(depth=plan)), STAMP)
+
+
+def test_a_region_goes_over_the_wire(region_message):
+    """Full resolution in the region, half outside, and the header says so."""
+    packed = unpack(region_message)
+    assert packed.header.depth_step == 2
+    assert packed.header.depth_region == (8, 4, 32, 20)
+    sent, got = frame_of(STEREO).depth_units, decompress(packed).depth_units
+    np.testing.assert_array_equal(got[4:20, 8:32], sent[4:20, 8:32])
+    np.testing.assert_array_equal(got[::2, ::2], sent[::2, ::2])
+    assert not got[1::2, 33::2].any()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"depth_step": 1},
+        {"depth_step": 3},
+        {"depth_region": None},
+        {"depth_region": (8, 4, 8, 20)},
+        {"depth_region": (8, 4, 57, 20)},
+        {"depth_region": (8, 4, 32, 41)},
+        {"depth_region": (-8, 4, 32, 20)},
+        {"depth_region": (8, 4, 32)},
+        {"region_bytes": -1},
+    ],
+    ids=str,
+)
+def test_regions_that_cannot_be(region_message, changes):
+    """Empty, outside, at full resolution or without its picture: found before decoding."""
+    header, color, depth = take_apart(region_message)
+    head = encode_header(msgspec.structs.replace(header, **changes))
+    spoiled = seal(Kind.FRAME, struct.pack("<I", len(head)), head, color, depth)
+    with pytest.raises(DecodeError) as caught:
+        unpack(spoiled)
+    assert caught.value.reason in (Reject.BAD_HEADER, Reject.WRONG_SIZE)
+
+
+def test_a_region_without_depth(message):
+    """A frame without a depth picture has no step and no region either."""
+    bare = pack(compress(frame_of(STEREO, depth=False)), STAMP)
+    assert refusal(with_header(bare, depth_step=2)) is Reject.BAD_HEADER
+    assert refusal(with_header(message, region_bytes=1)) is Reject.WRONG_SIZE
 
 
 @pytest.mark.parametrize("field", ["color_bytes", "depth_bytes"])

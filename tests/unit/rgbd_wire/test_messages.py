@@ -83,6 +83,9 @@ HEADER = FrameHeader(
     depth_table="lattice",
     color_bytes=20_000,
     depth_bytes=80_000,
+    depth_step=2,
+    depth_region=(100, 80, 300, 240),
+    region_bytes=9_000,
 )
 DECODERS = {Ack: decode_ack, Result: decode_result, FrameHeader: decode_header}
 MESSAGES = [ACK, RESULT, HEADER]

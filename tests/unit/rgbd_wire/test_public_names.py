@@ -16,19 +16,22 @@ PUBLIC = {
     "camera": "CameraIntrinsics RgbdCamera camera_from_json load_camera",
     "clock": "Clock ManualClock MonotonicClock",
     "color": "decode_color encode_color",
-    "depth": "DepthTable decode_depth encode_depth lattice_values",
+    "depth": "CodedDepth DepthPlan DepthTable coarse_size decode_depth encode_depth lattice_values",
     "envelope": "Kind seal unseal",
     "errors": "CameraFileError DecodeError GeometryError Reject TlsFilesError WireError",
     "frame": "RgbdFrame",
-    "frame_codec": "CompressedFrame FrameStamp PackedFrame compress decompress pack unpack",
+    "frame_codec": "CompressedFrame Encoding FrameStamp PackedFrame compress decompress pack "
+    "unpack",
     "geometry": "Pose quaternion_from_rotation quaternion_product rotation_from_quaternion "
     "rotation_from_vector skew slerp vector_from_rotation",
     "jxl_header": "check_plain_picture",
-    "messages": "Ack FrameHeader Intrinsics LevelBox Outcome Result TargetPose decode_ack "
-    "decode_header decode_result encode_header pack_covariance pose_numbers pose_of seal_ack "
-    "seal_result unpack_covariance",
-    "streams": "Stream Urgency worker_key worker_of_key",
+    "messages": "Ack FrameHeader Intrinsics LevelBox Outcome Result Status TargetPose decode_ack "
+    "decode_header decode_result decode_status encode_header pack_covariance pose_numbers pose_of "
+    "seal_ack seal_result seal_status unpack_covariance",
+    "probe": "Probe decode_probe seal_probe",
+    "streams": "Stream Urgency drone_of_key worker_key worker_of_key worker_status_key",
     "tls_files": "TlsFiles tls_files",
+    "tunnel": "",
 }
 
 

@@ -37,9 +37,7 @@ def test_frames_are_packed_to_the_same_bytes(name):
     frame, stamp = FRAMES[name]
     data = bytes_of(name)
     packed = unpack(data)
-    same = CompressedFrame(
-        frame, bytes(packed.color), bytes(packed.depth), packed.header.depth_table
-    )
+    same = CompressedFrame(frame, bytes(packed.color), packed.depth)
     assert pack(same, stamp) == data
 
 
@@ -47,12 +45,13 @@ def test_frames_are_packed_to_the_same_bytes(name):
 def test_frames_decode_to_their_formulas(name):
     """Depth to the bit, colour as close as JPEG is, camera and pose as described."""
     expected, _ = FRAMES[name]
+    expected_units = make.arriving_depth(name)
     got = decompress(unpack(bytes_of(name)))
     np.testing.assert_allclose(got.color_rgb.astype(int), expected.color_rgb, atol=16)
-    if expected.depth_units is None:
+    if expected_units is None:
         assert got.depth_units is None
     else:
-        np.testing.assert_array_equal(got.depth_units, expected.depth_units)
+        np.testing.assert_array_equal(got.depth_units, expected_units)
         digest = hashlib.sha256(got.depth_units.astype("<u2").tobytes()).hexdigest()
         assert digest == DESCRIBED[f"{name}.bin"]["depth_u16le_sha256"]
 
@@ -83,7 +82,8 @@ def test_messages_are_sealed_to_the_same_bytes(name):
 
 
 def test_both_tables_are_there():
-    """One vector has rank codes, one plain depth, one no depth."""
+    """Among the vectors are rank codes, plain depth, no depth, and a region of interest."""
     headers = [DESCRIBED[f"{name}.bin"]["fields"] for name in FRAMES]
     assert {h["depth_table"] for h in headers} == {"lattice", "identity"}
     assert [h["depth_bytes"] == 0 for h in headers].count(True) == 1
+    assert [h["depth_region"] is not None for h in headers].count(True) == 1
