@@ -22,7 +22,7 @@ from drone_client.airframe import Airframe, load_airframe
 from drone_client.errors import ClientError
 from drone_client.flight import Tally
 from drone_client.ledger import LEDGER_NAME
-from drone_client.link.zenoh import ZenohLink
+from drone_client.link.choose import open_link
 from drone_client.plot import PLOT_NAME
 from drone_client.replay import SUMMARY_NAME, ReplayOptions
 from drone_client.replay import replay as run_replay
@@ -66,6 +66,12 @@ def replay(
     wait_for_worker_s: Annotated[
         float | None, typer.Option(help=about("wait_for_worker_s"))
     ] = None,
+    key_file: Annotated[Path | None, typer.Option(help=about("key_file"))] = None,
+    tls: Annotated[Path | None, typer.Option(help=about("tls"))] = None,
+    rate_control: Annotated[
+        bool | None, typer.Option("--rate-control/--no-rate-control", help=about("rate_control"))
+    ] = None,
+    hedge: Annotated[bool | None, typer.Option("--hedge/--no-hedge", help=about("hedge"))] = None,
     airframe: Annotated[
         Path | None, typer.Option(help="TOML with body_from_camera and body_from_tip")
     ] = None,
@@ -102,6 +108,10 @@ def replay(
         window=window,
         jpeg_quality=jpeg_quality,
         wait_for_worker_s=wait_for_worker_s,
+        key_file=key_file,
+        tls=tls,
+        rate_control=rate_control,
+        hedge=hedge,
     )
     source = open_recording(folder, camera)
     body = Airframe() if airframe is None else load_airframe(airframe)
@@ -118,7 +128,7 @@ def replay(
             counts = f"{accepted} accepted, {refused} refused, {tally.outcomes['target']} targets"
             progress.update(task, completed=done, description=title, counts=counts)
 
-        link = ZenohLink(settings.name, settings.endpoints, clock)
+        link = open_link(settings, clock)
         try:
             summary = run_replay(source, body, settings, options, link, clock, on_progress)
         finally:

@@ -74,6 +74,11 @@ class Departures:
         self._free_ns = now_ns - round_trip_ns + sum(self._serialisation_ns.values())
         return True
 
+    def forget(self, sequence: int) -> None:
+        """A frame will not be acknowledged, and whoever has it is no more: free its slot."""
+        if self._acks.release(sequence):
+            del self._serialisation_ns[sequence]
+
     def expire(self, now_ns: int) -> tuple[int, ...]:
         """Free the slots whose frames were never acknowledged in time, and name them."""
         late = self._acks.expire(now_ns)

@@ -3,7 +3,7 @@
 ::
 
     playback thread   capture -> uplink's one-slot mailbox
-    uplink thread     mailbox -> encode -> link                      (ack clock)
+    uplink thread     mailbox -> encode -> link    (ack clock; watches the workers)
     link's thread     message -> receiver: gate -> target estimate   -> ledger
     control thread    pose, estimate -> guidance -> filter -> autopilot, at control_hz
 """
@@ -20,11 +20,13 @@ from typing import Any
 from drone_client.airframe import Airframe
 from drone_client.autopilot import Autopilot
 from drone_client.control import ControlSettings, Decision, decide, stop_command
+from drone_client.encoding_choice import EncodingChoice
 from drone_client.gate import GateSettings
 from drone_client.ledger import Fate, Ledger
 from drone_client.link import Link
+from drone_client.rate_control import RateSettings
 from drone_client.reception import Receiver, Reception
-from drone_client.records import decision_record, reception_record
+from drone_client.records import decision_record, one_way_record, reception_record
 from drone_client.uplink import Uplink, UplinkSettings
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
@@ -40,6 +42,7 @@ class FlightSettings:
     uplink: UplinkSettings
     gate: GateSettings
     control: ControlSettings
+    rate: RateSettings
     control_hz: float
     reply_timeout_ns: int
 
@@ -68,6 +71,7 @@ class Flight:
         clock: Clock,
         ledger: Ledger,
         world_from_body: Callable[[int], Pose | None],
+        on_accepted: Callable[[Reception], None] = lambda reception: None,
     ) -> None:
         self.tally = Tally()
         self._settings = settings
@@ -78,16 +82,20 @@ class Flight:
         self._clock = clock
         self._ledger = ledger
         self._world_from_body = world_from_body
+        self._on_accepted = on_accepted
         self._stopping = threading.Event()
         self._receiver = Receiver(
             settings.uplink.drone,
             settings.uplink.boot_id,
             settings.gate,
             airframe,
-            on_heard=lambda sequence, worker: self._uplink.heard(sequence, worker),
+            on_heard=lambda sequence, worker, t_ns: self._uplink.heard(sequence, worker, t_ns),
             on_result=self._on_result,
+            on_echo=lambda probe, t4_ns: self._uplink.echo(probe, t4_ns),
+            on_status=lambda status: self._uplink.take_status(status),
         )
-        self._uplink = Uplink(settings.uplink, link, clock, self._receiver, ledger)
+        choice = EncodingChoice(settings.rate, lambda: self._receiver.estimate)
+        self._uplink = Uplink(settings.uplink, link, clock, self._receiver, ledger, choice)
         self._control = threading.Thread(target=self._run_control, name="control", daemon=True)
 
     @property
@@ -95,9 +103,14 @@ class Flight:
         """For its counts."""
         return self._receiver
 
+    @property
+    def uplink(self) -> Uplink:
+        """For what it knows of the workers."""
+        return self._uplink
+
     def start(self) -> None:
         """Start receiving, sending and controlling."""
-        self._link.start(self._receiver.on_message)
+        self._link.start(self._receiver.on_message, self._uplink.wake)
         self._uplink.start()
         self._control.start()
 
@@ -126,6 +139,7 @@ class Flight:
         tally, result = self.tally, reception.result
         verdict = reception.judgement.verdict
         tally.verdicts[verdict.value] += 1
+        self._uplink.answered(reception)
         if not verdict.settles_frame:
             self._ledger.event(
                 reception.t4_ns,
@@ -135,9 +149,21 @@ class Flight:
                 worker=result.worker,
             )
             return
+        if not reception.settles and self._uplink.will_answer(reception.pending):
+            self._ledger.event(
+                reception.t4_ns,
+                "waits_for_other_copy",
+                verdict=verdict.value,
+                sequence=result.sequence,
+                worker=result.worker,
+            )
+            return
         tally.outcomes[result.outcome.value] += 1
+        if reception.judgement.accepted:
+            self._on_accepted(reception)
         decision = self._decide(self._clock.now_ns())
-        record = reception_record(reception) | decision_record(decision)
+        one_way = one_way_record(result, reception.t4_ns, self._uplink.estimate(result.worker))
+        record = reception_record(reception) | one_way | decision_record(decision)
         if not self._ledger.close_frame(result.sequence, Fate.ANSWERED, record):
             tally.late_results += 1
             self._ledger.event(

@@ -158,17 +158,27 @@ def judge(
     if not 0 <= stamps.t3_ns - stamps.t2_ns <= stamps.t4_ns - stamps.t1_ns:
         return Judgement(Verdict.IMPOSSIBLE_TIME, age_ns=age_ns)
     delay_ns = network_delay_ns(stamps)
+    refused = _unusable(delay_ns, age_ns, settings, looked_at=looked_at)
+    if refused is None and other_copy_accepted:
+        refused = Verdict.OTHER_COPY
+    if refused is None and (
+        last_accepted_capture_ns is not None and sent.t_capture_ns <= last_accepted_capture_ns
+    ):
+        refused = Verdict.OUT_OF_ORDER
+    return Judgement(refused or Verdict.ACCEPTED, delay_ns, age_ns)
+
+
+def _unusable(
+    delay_ns: int, age_ns: int, settings: GateSettings, *, looked_at: bool
+) -> Verdict | None:
+    """Why a result that is the frame's own says nothing that may be flown on; None: it does."""
     if not looked_at:
-        return Judgement(Verdict.NOT_LOOKED_AT, delay_ns, age_ns)
+        return Verdict.NOT_LOOKED_AT
     if delay_ns > settings.tau_max_ns:
-        return Judgement(Verdict.NETWORK_DELAY, delay_ns, age_ns)
+        return Verdict.NETWORK_DELAY
     if age_ns > settings.age_max_ns:
-        return Judgement(Verdict.TOO_OLD, delay_ns, age_ns)
-    if other_copy_accepted:
-        return Judgement(Verdict.OTHER_COPY, delay_ns, age_ns)
-    if last_accepted_capture_ns is not None and sent.t_capture_ns <= last_accepted_capture_ns:
-        return Judgement(Verdict.OUT_OF_ORDER, delay_ns, age_ns)
-    return Judgement(Verdict.ACCEPTED, delay_ns, age_ns)
+        return Verdict.TOO_OLD
+    return None
 
 
 def _foreign(stamps: ResultStamps, sent: SentFrame) -> Verdict | None:

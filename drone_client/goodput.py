@@ -1,10 +1,10 @@
 """What the link carries, in bytes a second, from the acks of frames; any transport.
 
 A frame that was sent at t1 and acknowledged at t_ack kept the link busy from the later of t1 and
-the ack before it, until t_ack; the empty link's round trip is no part of that. Bytes over that time
-is a sample of the goodput, as in the delivery rate of BBR (Cheng et al., draft-cheng-iccrg-delivery-
-rate-estimation). A frame on a fast link is through before anything can be told: then the sample is
-a lower bound and says so by being large.
+the ack before it, until t_ack; the empty link's round trip is no part of that. Bytes over that
+time is a sample of the goodput, as BBR's delivery rate is (Cheng et al., draft-cheng-iccrg-
+delivery-rate-estimation). A frame on a fast link is through before anything can be told: then the
+sample is a lower bound, and large.
 
 Two windows: the median of the last three samples follows a fall within three frames, and the
 estimate rises only with the median of the last seven, so that one lucky ack does not fill a queue.

@@ -32,6 +32,8 @@ class Fate(StrEnum):
     """A newer frame came before this one could be sent."""
     SEND_FAILED = "send_failed"
     """It could not be encoded or handed to the link; the log has the details."""
+    TOO_OLD_ON_BOARD = "too_old_on_board"
+    """By the time it could leave, no answer could have come within age_max."""
     NO_WORKER = "no_worker"
     NO_REPLY = "no_reply"
     INTERRUPTED = "interrupted"
@@ -49,6 +51,8 @@ class FrameEntry:
     t1_ns: int | None = None
     worker: str | None = None
     size_bytes: int | None = None
+    encoding: dict[str, Any] | None = None
+    """How it was coded, and why so."""
 
 
 class Ledger:
@@ -90,12 +94,23 @@ class Ledger:
         with self._lock:
             self._open[entry.sequence] = entry
 
-    def sent(self, sequence: int, t1_ns: int, worker: str, size_bytes: int) -> None:
+    def sent(
+        self,
+        sequence: int,
+        t1_ns: int,
+        worker: str,
+        size_bytes: int,
+        encoding: dict[str, Any] | None = None,
+    ) -> None:
         """It was handed to the link."""
         with self._lock:
             if (entry := self._open.get(sequence)) is not None:
                 self._open[sequence] = replace(
-                    entry, t1_ns=t1_ns, worker=worker, size_bytes=size_bytes
+                    entry,
+                    t1_ns=t1_ns,
+                    worker=worker,
+                    size_bytes=size_bytes,
+                    encoding=encoding,
                 )
 
     def close_frame(self, sequence: int, fate: Fate, details: dict[str, Any]) -> bool:
@@ -155,6 +170,7 @@ class Ledger:
             "fate": fate.value,
             "worker": entry.worker,
             "bytes": entry.size_bytes,
+            "encoding": entry.encoding,
             "t_capture_ns": entry.t_capture_ns,
             "t1_ns": entry.t1_ns,
         }

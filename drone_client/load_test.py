@@ -1,6 +1,6 @@
 """``load-test``: many drones at once, to size a cluster.
 
-Each drone is what a real one is to the service: its own Zenoh session, ack clock and gate. Only
+Each drone is what a real one is to the service: its own link, ack clock and gate. Only
 the pictures are compressed once, before the clock starts, so that the client's CPU is not what is
 measured.
 """
@@ -27,18 +27,18 @@ from drone_client.ack_clock import AckClock
 from drone_client.airframe import Airframe
 from drone_client.errors import ClientError
 from drone_client.gate import SentFrame
-from drone_client.link.zenoh import ZenohLink
+from drone_client.link.choose import open_link
 from drone_client.reception import Receiver, Reception
 from drone_client.replay import wait_for_worker
+from drone_client.roster import Roster
 from drone_client.settings import NS_PER_MS, ClientSettings, about, load_settings
 from drone_client.source.replay import open_recording
 from drone_client.summary import spread
-from drone_client.worker_choice import choose_worker
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from rgbd_wire.clock import Clock, MonotonicClock
 from rgbd_wire.errors import WireError
 from rgbd_wire.frame import RgbdFrame
-from rgbd_wire.frame_codec import CompressedFrame, FrameStamp, compress, pack
+from rgbd_wire.frame_codec import CompressedFrame, Encoding, FrameStamp, compress, pack
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import Outcome
 
@@ -78,8 +78,9 @@ class LoadDrone:
         self._clock = clock
         self._boot_id = secrets.randbits(63)
         self._acks = AckClock(settings.window, round(settings.ack_timeout_ms * NS_PER_MS))
-        self._worker: str | None = None
-        self.link = ZenohLink(name, settings.endpoints, clock)
+        self._roster = Roster(name)
+        self._asked: dict[int, str] = {}
+        self.link = open_link(settings, clock, name)
         self._receiver = Receiver(
             name,
             self._boot_id,
@@ -88,7 +89,7 @@ class LoadDrone:
             on_heard=self._on_heard,
             on_result=self._on_result,
         )
-        self.link.start(self._receiver.on_message)
+        self.link.start(self._receiver.on_message, lambda: None)
 
     def run(self, rate_hz: float, phase: float, until_ns: int, stop: threading.Event) -> None:
         """Send until a time on the clock; ``phase`` in [0, 1) spreads the drones over a period."""
@@ -104,26 +105,32 @@ class LoadDrone:
 
     def _send_one(self, sequence: int) -> None:
         t_capture_ns = self._clock.now_ns()
-        self._worker = choose_worker(self.name, self.link.workers(), self._worker)
         with self.lock:
             self.tally.due += 1
-            self.tally.timeouts += len(self._acks.expire(t_capture_ns))
-            if self._worker is None or not self._acks.has_room():
+            self._roster.see(self.link.workers())
+            for late in self._acks.expire(t_capture_ns):
+                self.tally.timeouts += 1
+                self._roster.missed(self._asked.pop(late), t_capture_ns)
+            worker = self._roster.choose(t_capture_ns)
+            if worker is None or not self._acks.has_room():
                 self.tally.skipped += 1
                 return
             self._acks.send(sequence, t_capture_ns)
+            self._asked[sequence] = worker
             self.tally.sent += 1
         picture = self._pictures[sequence % len(self._pictures)]
         stamped = replace(picture, frame=replace(picture.frame, t_capture_ns=t_capture_ns))
         t1_ns = self._clock.now_ns()
         budget_ns = self._settings.gate.age_max_ns
         message = pack(stamped, FrameStamp(self.name, self._boot_id, sequence, t1_ns, budget_ns))
-        self._receiver.sending(SentFrame(sequence, t_capture_ns, t1_ns, self._worker))
-        self.link.send(self._worker, message)
+        self._receiver.sending(SentFrame(sequence, t_capture_ns, t1_ns, worker))
+        self.link.send(worker, message, budget_ns)
 
-    def _on_heard(self, sequence: int, worker: str) -> None:
+    def _on_heard(self, sequence: int, worker: str, t_ns: int) -> None:
         with self.lock:
-            self._acks.release(sequence)
+            self._roster.replied(worker, t_ns)
+            if self._acks.release(sequence):
+                del self._asked[sequence]
 
     def _on_result(self, r: Reception) -> None:
         result, judgement = r.result, r.judgement
@@ -186,13 +193,19 @@ def load_test(
     ] = None,
     tau_max_ms: Annotated[float | None, typer.Option(help=about("tau_max_ms"))] = None,
     window: Annotated[int | None, typer.Option(help=about("window"))] = None,
+    key_file: Annotated[
+        Path | None, typer.Option(help="keys of load-0, load-1, ... for udp/ endpoints")
+    ] = None,
+    tls: Annotated[Path | None, typer.Option(help=about("tls"))] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the result as JSON")] = False,
 ) -> None:
     """Load a service with many drones and say what each of them got.
 
     Example: load-test --drones 8 --rate 15 --duration 20 --connect tcp/192.0.2.7:7447
     """
-    settings = load_settings(connect=connect, tau_max_ms=tau_max_ms, window=window)
+    settings = load_settings(
+        connect=connect, tau_max_ms=tau_max_ms, window=window, key_file=key_file, tls=tls
+    )
     pictures = _pictures(recording, camera, settings.jpeg_quality)
     clock = MonotonicClock()
     fleet: list[LoadDrone] = []
@@ -249,7 +262,7 @@ def _pictures(
     recording: Path | None, camera: Path | None, jpeg_quality: int
 ) -> list[CompressedFrame]:
     if recording is None:
-        return [compress(_noise_frame(), jpeg_quality)]
+        return [compress(_noise_frame(), Encoding(jpeg_quality))]
     source = open_recording(recording, camera)
     return [
         compress(
@@ -260,7 +273,7 @@ def _pictures(
                 0,
                 source.world_from_camera(capture.t_source_ns),
             ),
-            jpeg_quality,
+            Encoding(jpeg_quality),
         )
         for capture in source.some_captures(MAX_PICTURES)
     ]

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from rgbd_wire.depth import Step
+
 
 @dataclass(frozen=True, slots=True)
 class Rung:
@@ -20,7 +22,7 @@ class Rung:
 
     name: str
     jpeg_quality: int
-    depth_step: int
+    depth_step: Step
     """1: depth at full resolution everywhere; 2 or 4: that is the step outside the region of
     interest, which stays full."""
     color_weight: float
@@ -31,10 +33,10 @@ class Rung:
 LADDER = (
     Rung("full", 80, 1, 1.0, 1.0),
     Rung("full-q65", 65, 1, 0.70, 1.0),
-    Rung("half", 70, 2, 0.77, 0.35),
-    Rung("quarter", 60, 4, 0.65, 0.16),
-    Rung("quarter-q45", 45, 4, 0.53, 0.16),
-    Rung("quarter-q25", 25, 4, 0.37, 0.16),
+    Rung("half", 70, 2, 0.77, 0.45),
+    Rung("quarter", 60, 4, 0.65, 0.22),
+    Rung("quarter-q45", 45, 4, 0.53, 0.22),
+    Rung("quarter-q25", 25, 4, 0.37, 0.22),
 )
 """Colour goes first, since a detector hardly minds quality 65; then depth that nobody looks at."""
 

@@ -7,16 +7,19 @@ from typing import Any
 
 import numpy as np
 
+from drone_client.clock_offset import Echo, OffsetEstimate, one_way
 from drone_client.control import Decision
 from drone_client.reception import Reception
 from rgbd_wire.geometry import Pose
-from rgbd_wire.messages import pose_numbers, unpack_covariance
+from rgbd_wire.messages import Result, pose_numbers, unpack_covariance
 
 
 def reception_record(r: Reception) -> dict[str, Any]:
     """Stamps, times, verdict, outcome and pose of an answered frame."""
     result, target = r.result, r.result.target
     record: dict[str, Any] = {
+        "worker": result.worker,
+        "t1_ns": result.t1_ns,
         "t2_ns": result.t2_ns,
         "t3_ns": result.t3_ns,
         "t4_ns": r.t4_ns,
@@ -65,6 +68,15 @@ def decision_record(decision: Decision) -> dict[str, Any]:
             "status": safe.status.value,
         }
     return record
+
+
+def one_way_record(result: Result, t4_ns: int, estimate: OffsetEstimate | None) -> dict[str, Any]:
+    """d1 and d2 apart, and within what they are known: for people, never for the gate."""
+    if estimate is None:
+        return {"d1_ms": None, "d2_ms": None, "one_way_bound_ms": None}
+    echo = Echo(result.t1_ns, result.t2_ns, result.t3_ns, t4_ns, result.worker_boot_id)
+    d1_ns, d2_ns, bound_ns = one_way(echo, estimate)
+    return {"d1_ms": _ms(d1_ns), "d2_ms": _ms(d2_ns), "one_way_bound_ms": _ms(bound_ns)}
 
 
 def _ms(t_ns: int | None) -> float | None:

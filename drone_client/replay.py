@@ -21,6 +21,7 @@ from drone_client.ledger import LEDGER_NAME, TICKS_NAME, Ledger
 from drone_client.link import Link
 from drone_client.playback import Lockstep, Playback, RealTime
 from drone_client.plot import PLOT_NAME, plot_run
+from drone_client.rate_control import RateSettings
 from drone_client.settings import NS_PER_MS, ClientSettings
 from drone_client.source import RgbdSource
 from drone_client.summary import read_lines, summarise
@@ -54,10 +55,15 @@ def flight_settings(settings: ClientSettings) -> FlightSettings:
             boot_id=secrets.randbits(63),
             window=settings.window,
             ack_timeout_ns=round(settings.ack_timeout_ms * NS_PER_MS),
-            budget_ns=settings.gate.age_max_ns,
-            jpeg_quality=settings.jpeg_quality,
+            age_max_ns=settings.gate.age_max_ns,
+            hedge=settings.hedge,
         ),
         gate=settings.gate,
+        rate=RateSettings(
+            serialisation_max_ns=settings.gate.tau_max_ns // 3,
+            enabled=settings.rate_control,
+            best_quality=settings.jpeg_quality,
+        ),
         control=control,
         control_hz=settings.control_hz,
         reply_timeout_ns=round(settings.reply_timeout_ms * NS_PER_MS),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import difflib
 import os
+from pathlib import Path
 from typing import Any, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drone_client.errors import ClientError
@@ -16,6 +17,7 @@ from rgbd_wire.streams import FRAME, RESULT
 
 ENV_PREFIX = "DRONE_"
 NS_PER_MS = 1_000_000
+TUNNEL_PREFIX = "udp/"
 
 
 class ClientSettings(BaseSettings):
@@ -29,7 +31,16 @@ class ClientSettings(BaseSettings):
         description="this drone's name: a-z, 0-9, _ and -, at most 32",
     )
     connect: str = Field(
-        "tcp/127.0.0.1:7447", description="workers' endpoints, separated by commas"
+        "tcp/127.0.0.1:7447",
+        max_length=4000,
+        description="workers' endpoints, separated by commas: tcp/HOST:PORT or tls/HOST:PORT for "
+        "Zenoh, or udp/HOST:PORT for the UDP tunnel; all of one of the two",
+    )
+    key_file: Path | None = Field(
+        None, description="this drone's key for the UDP tunnel: a file with the line `NAME HEX`"
+    )
+    tls: Path | None = Field(
+        None, description="folder with ca.pem, cert.pem and key.pem for tls/ endpoints"
     )
     tau_max_ms: float = Field(
         FRAME.max_age_ms, gt=0, le=10_000, description="largest network delay d1+d2 [ms]"
@@ -45,7 +56,16 @@ class ClientSettings(BaseSettings):
         2000.0, gt=0, le=60_000, description="a frame counts as unanswered after this [ms]"
     )
     jpeg_quality: int = Field(
-        DEFAULT_JPEG_QUALITY, ge=1, le=100, description="JPEG quality of colour"
+        DEFAULT_JPEG_QUALITY, ge=1, le=100, description="best JPEG quality of colour"
+    )
+    rate_control: bool = Field(
+        True,
+        description="choose quality and depth region by the link's goodput, so that a frame takes "
+        "a third of tau_max at most; off: all frames at the best",
+    )
+    hedge: bool = Field(
+        False,
+        description="send a second copy of a frame whose answer is late to another worker",
     )
     control_hz: float = Field(50.0, ge=1, le=500, description="rate of the control loop [Hz]")
     wait_for_worker_s: float = Field(
@@ -61,6 +81,16 @@ class ClientSettings(BaseSettings):
             )
         return self
 
+    @field_validator("connect")
+    @classmethod
+    def _endpoints_of_one_kind(cls, value: str) -> str:
+        kinds = {e.startswith(TUNNEL_PREFIX) for e in split_endpoints(value)}
+        if not kinds:
+            raise ValueError("no endpoint; such as tcp/192.0.2.7:7447 or udp/192.0.2.7:7448")
+        if len(kinds) > 1:
+            raise ValueError("udp/ endpoints and others do not mix: a drone has one kind of link")
+        return value
+
     @property
     def gate(self) -> GateSettings:
         """The two bounds of the delay gate."""
@@ -69,7 +99,17 @@ class ClientSettings(BaseSettings):
     @property
     def endpoints(self) -> tuple[str, ...]:
         """The workers' endpoints, apart."""
-        return tuple(e.strip() for e in self.connect.split(",") if e.strip())
+        return split_endpoints(self.connect)
+
+    @property
+    def uses_tunnel(self) -> bool:
+        """The endpoints are the UDP tunnel's."""
+        return self.endpoints[0].startswith(TUNNEL_PREFIX)
+
+
+def split_endpoints(connect: str) -> tuple[str, ...]:
+    """Endpoints of a list with commas."""
+    return tuple(e.strip() for e in connect.split(",") if e.strip())
 
 
 def load_settings(**flags: Any) -> ClientSettings:
@@ -95,7 +135,8 @@ def load_settings(**flags: Any) -> ClientSettings:
         source = f"--{field.replace('_', '-')}" if field in given else known_name(field)
         meaning = ClientSettings.model_fields[field].description
         raise ClientError(
-            f"{source} = {first['input']!r}: {first['msg'].lower()} ({meaning})"
+            f"{source} = {first['input']!r}: "
+            f"{first['msg'].removeprefix('Value error, ').lower()} ({meaning})"
         ) from None
 
 

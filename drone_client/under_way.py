@@ -84,6 +84,10 @@ class FramesUnderWay:
         if frame is not None and looked_at and not frame.has_copy:
             self._round_trips_ns.append(t4_ns - frame.t1_ns)
 
+    def of(self, worker: str) -> list[UnderWay]:
+        """Frames whose newest copy went to a worker, oldest first."""
+        return [f for f in self._frames.values() if f.workers[-1] == worker]
+
     def missing_acks(self, now_ns: int) -> list[UnderWay]:
         """Frames whose ack is due and was not counted as missed yet; they count from now on."""
         late = [

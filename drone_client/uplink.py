@@ -1,7 +1,7 @@
-"""The way up: newest frame -> room in the window -> encode -> stamp t1 -> link.
+"""The way up: newest frame -> departure -> encode -> stamp t1 -> link; and the watch beside it.
 
-The frame is taken from its slot only when the window has room, so what is sent is never older
-than one encoding.
+The frame is taken from its slot only when it may leave, so what is sent is never older than one
+encoding. The same thread sends probes and second copies: one thread alone writes to the link.
 """
 
 from __future__ import annotations
@@ -11,17 +11,27 @@ import threading
 from dataclasses import dataclass
 from typing import Protocol
 
-from drone_client.ack_clock import AckClock
+from drone_client.clock_offset import OffsetEstimate
+from drone_client.departures import Departures
+from drone_client.encoding_choice import EncodingChoice
 from drone_client.gate import SentFrame
+from drone_client.goodput import Goodput
 from drone_client.ledger import Fate, FrameEntry, Ledger
 from drone_client.link import Link
 from drone_client.newest import Newest
-from drone_client.worker_choice import choose_worker
+from drone_client.reception import Reception
+from drone_client.under_way import UnderWay
+from drone_client.watch import MIN_ACK_WAIT_NS, Copy, WorkerWatch
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
-from rgbd_wire.frame_codec import FrameStamp, compress, pack
+from rgbd_wire.frame_codec import CompressedFrame, FrameStamp, compress, pack
+from rgbd_wire.messages import Status
+from rgbd_wire.probe import Probe, seal_probe
 
 logger = logging.getLogger(__name__)
+
+TICK_S = 0.005
+"""How often the watch looks, with nothing else to do: a fraction of what it has to notice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +45,10 @@ class UplinkSettings:
     """Frames in the network at most."""
     ack_timeout_ns: int
     """A slot is freed by force after this long without an ack."""
-    budget_ns: int
-    """What a frame says of how long its result is of use."""
-    jpeg_quality: int
+    age_max_ns: int
+    """A result is of no use past this age."""
+    hedge: bool = False
+    """Send a second copy of a frame whose answer is late."""
 
 
 class SendLog(Protocol):
@@ -55,10 +66,16 @@ class _Captured:
 
 
 class Uplink:
-    """Owns the sending thread, the one-slot mailbox and the ack clock."""
+    """Owns the sending thread, the one-slot mailbox, the ack clock and the watch."""
 
     def __init__(
-        self, settings: UplinkSettings, link: Link, clock: Clock, log: SendLog, ledger: Ledger
+        self,
+        settings: UplinkSettings,
+        link: Link,
+        clock: Clock,
+        log: SendLog,
+        ledger: Ledger,
+        choice: EncodingChoice,
     ) -> None:
         self.send_failures = 0
         self._settings = settings
@@ -66,17 +83,39 @@ class Uplink:
         self._clock = clock
         self._log = log
         self._ledger = ledger
+        self._choice = choice
         self._slot: Newest[_Captured] = Newest()
-        self._acks = AckClock(settings.window, settings.ack_timeout_ns)
-        self._room = threading.Condition()
-        self._asked: dict[int, str] = {}
-        """Worker of each frame that holds a slot."""
-        self._silent: set[str] = set()
-        """Workers that left a frame unacknowledged and were not heard of since."""
-        self._worker: str | None = None
         self._sequence = 0
+        self._changed = threading.Condition()
+        """Guards all of the following; notified when the thread has reason to look."""
+        self._departures = Departures(settings.window, settings.ack_timeout_ns)
+        self._goodput = Goodput()
+        self._sent: dict[int, tuple[int, int]] = {}
+        """Bytes and t1 of each frame that holds a slot."""
+        self._watch = WorkerWatch(
+            settings.drone, settings.boot_id, settings.age_max_ns, hedge=settings.hedge
+        )
+        self._encoding_ns = 0
+        """What encoding takes, lately."""
+        self._due = False
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="uplink", daemon=True)
+
+    def estimate(self, worker: str) -> OffsetEstimate | None:
+        """Clock offset and round trips of a worker, by its probes."""
+        with self._changed:
+            return self._watch.estimate(worker)
+
+    def standings(self) -> dict[str, str]:
+        """What this drone thinks of its workers."""
+        with self._changed:
+            return self._watch.standings()
+
+    @property
+    def goodput_bytes_per_s(self) -> float | None:
+        """What the link carries, as far as it is known."""
+        with self._changed:
+            return self._goodput.bytes_per_s
 
     def start(self) -> None:
         """Begin to send."""
@@ -89,31 +128,112 @@ class Uplink:
         displaced = self._slot.put(_Captured(sequence, frame))
         if displaced is not None:
             self._ledger.close_frame(displaced.sequence, Fate.SUPERSEDED_ON_BOARD, {})
+        self.wake()
         return sequence
 
-    def heard(self, sequence: int, worker: str) -> None:
-        """An ack or a result of a frame arrived: free its slot."""
-        with self._room:
-            self._silent.discard(worker)
-            if self._acks.release(sequence):
-                del self._asked[sequence]
-                self._room.notify()
+    def wake(self) -> None:
+        """There is something new to look at: a frame, an answer, a worker that came or went."""
+        with self._changed:
+            self._due = True
+            self._changed.notify()
+
+    def heard(self, sequence: int, worker: str, t_ns: int) -> None:
+        """An ack or a result of a frame arrived: free its slot, learn from it."""
+        with self._changed:
+            self._watch.heard(sequence, worker, t_ns)
+            round_trip_ns = self._watch.round_trip_ns(worker)
+            sent = self._sent.pop(sequence, None)
+            if self._departures.release(sequence, t_ns, round_trip_ns) and sent is not None:
+                self._goodput.acked(*sent, t_ns, round_trip_ns)
+        self.wake()
+
+    def answered(self, reception: Reception) -> None:
+        """A result arrived and was judged."""
+        result = reception.result
+        with self._changed:
+            self._watch.answered(
+                result.sequence,
+                result.worker,
+                reception.t4_ns,
+                looked_at=result.outcome.looked_at,
+                settled=reception.settles,
+            )
+            if result.draining:
+                self._watch.drains(result.worker)
+        self.wake()
+
+    def echo(self, probe: Probe, t4_ns: int) -> None:
+        """A probe came back."""
+        with self._changed:
+            self._watch.echo(probe, t4_ns)
+
+    def take_status(self, status: Status) -> None:
+        """A worker says how it is."""
+        with self._changed:
+            self._watch.take_status(status)
+        if status.draining:
+            self.wake()
+
+    def will_answer(self, workers: frozenset[str]) -> bool:
+        """Whether one of these workers may still answer a frame that it has."""
+        with self._changed:
+            return not self._watch.hopeless(workers)
 
     def stop(self) -> None:
         """Stop sending; a frame that waits is left to the ledger."""
         self._stopping.set()
         self._slot.close()
-        with self._room:
-            self._room.notify()
+        self.wake()
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            if self._wait_for_room(timeout_s=0.05):
-                captured = self._slot.take(timeout_s=0.05)
-                if captured is not None:
-                    self._try_to_send(captured)
+            try:
+                self._tick()
+            except Exception:
+                # A watch that ended here would leave the drone with a dead worker for ever.
+                self._count_failure("the watch over the workers failed")
+            wait_s = self._until_departure_s()
+            captured = self._slot.take(0) if wait_s == 0 else None
+            if captured is not None:
+                self._try_to_send(captured)
+                continue
+            with self._changed:
+                if not self._due:
+                    self._changed.wait(min(wait_s or TICK_S, TICK_S))
+                self._due = False
+
+    def _count_failure(self, what: str) -> None:
+        if not self.send_failures:
+            logger.exception(what)
+        self.send_failures += 1
+
+    def _until_departure_s(self) -> float:
+        with self._changed:
+            wait_ns = self._departures.wait_ns(self._clock.now_ns(), self._encoding_ns)
+        return TICK_S if wait_ns is None else wait_ns / 1e9
+
+    def _tick(self) -> None:
+        """Free what will not be acknowledged, probe, hand over."""
+        live = self._link.workers()
+        now_ns = self._clock.now_ns()
+        with self._changed:
+            expired = self._departures.expire(now_ns)
+            actions = self._watch.tick(now_ns, live)
+            for sequence in (*expired, *actions.lost):
+                self._departures.forget(sequence)
+                self._sent.pop(sequence, None)
+        for sequence in expired:
+            self._ledger.event(now_ns, "ack_timeout", sequence=sequence)
+        for name, details in actions.events:
+            self._ledger.event(now_ns, name, **details)
+        for worker in actions.unheard:
+            self._link.unheard(worker)
+        for copy in actions.copies:
+            self._send_copy(copy)
+        for worker, probe in actions.probes:
+            self._link.send_urgent(worker, seal_probe(probe))
 
     def _try_to_send(self, captured: _Captured) -> None:
         try:
@@ -121,54 +241,61 @@ class Uplink:
         except Exception:
             # A frame that cannot be sent is no reason to send no more: a thread that ended here
             # would leave the drone blind, and the run waiting for this frame's fate for ever.
-            if not self.send_failures:
-                logger.exception("frame %d could not be sent", captured.sequence)
-            self.send_failures += 1
+            self._count_failure(f"frame {captured.sequence} could not be sent")
             self._ledger.close_frame(captured.sequence, Fate.SEND_FAILED, {})
 
-    def _wait_for_room(self, timeout_s: float) -> bool:
-        with self._room:
-            self._expire()
-            if not self._acks.has_room():
-                self._room.wait(timeout_s)
-                self._expire()
-            return self._acks.has_room()
-
-    def _expire(self) -> None:
-        now_ns = self._clock.now_ns()
-        for sequence in self._acks.expire(now_ns):
-            # A worker that leaves frames unacknowledged is asked again only if there is no other.
-            worker = self._asked.pop(sequence)
-            self._silent.add(worker)
-            self._ledger.event(now_ns, "ack_timeout", sequence=sequence, worker=worker)
-
     def _send(self, captured: _Captured) -> None:
-        worker = self._choose_worker()
+        s, frame = self._settings, captured.frame
+        started_ns = self._clock.now_ns()
+        with self._changed:
+            worker = self._watch.choose(started_ns, self._link.workers())
+            round_trip_ns = 0 if worker is None else self._watch.round_trip_ns(worker)
+            goodput = self._goodput.bytes_per_s
         if worker is None:
             self._ledger.close_frame(captured.sequence, Fate.NO_WORKER, {})
             return
-        s, frame = self._settings, captured.frame
-        compressed = compress(frame, s.jpeg_quality)
+        choice = self._choice.choose(frame, started_ns, goodput)
+        compressed = compress(frame, choice.encoding)
+        self._choice.weighed(choice, compressed)
         t1_ns = self._clock.now_ns()
-        stamp = FrameStamp(s.drone, s.boot_id, captured.sequence, t1_ns, s.budget_ns)
-        message = pack(compressed, stamp)
+        self._encoding_ns += (t1_ns - started_ns - self._encoding_ns) // 4
+        budget_ns = s.age_max_ns - (t1_ns - frame.t_capture_ns) - round_trip_ns
+        if budget_ns <= 0:
+            self._ledger.close_frame(captured.sequence, Fate.TOO_OLD_ON_BOARD, {})
+            return
+        message = self._pack(captured.sequence, compressed, t1_ns, budget_ns)
+        serialisation_ns = 0 if goodput is None else round(1e9 * len(message) / goodput)
+        ack_wait_ns = MIN_ACK_WAIT_NS + 2 * serialisation_ns + 4 * round_trip_ns
+        sent = UnderWay(
+            captured.sequence,
+            compressed,
+            [worker],
+            t1_ns,
+            t1_ns + min(ack_wait_ns, s.ack_timeout_ns),
+        )
+        self._ledger.sent(captured.sequence, t1_ns, worker, len(message), choice.record())
+        with self._changed:
+            self._departures.send(captured.sequence, t1_ns, serialisation_ns)
+            self._sent[captured.sequence] = len(message), t1_ns
+            self._watch.sent(sent)
         self._log.sending(SentFrame(captured.sequence, frame.t_capture_ns, t1_ns, worker))
-        self._ledger.sent(captured.sequence, t1_ns, worker, len(message))
-        with self._room:
-            self._acks.send(captured.sequence, t1_ns)
-            self._asked[captured.sequence] = worker
-        self._link.send(worker, message)
+        self._link.send(worker, message, budget_ns)
 
-    def _choose_worker(self) -> str | None:
-        live = self._link.workers()
-        with self._room:
-            self._expire()  # the frame may have come long after there was room
-            self._silent.intersection_update(live)  # one that went and came back starts afresh
-            silent = frozenset(self._silent)
-        worker = choose_worker(self._settings.drone, live, self._worker, silent)
-        if worker != self._worker:
-            self._ledger.event(
-                self._clock.now_ns(), "worker", before=self._worker, now=worker, live=live
-            )
-            self._worker = worker
-        return worker
+    def _send_copy(self, copy: Copy) -> None:
+        """Send a frame that left already to another worker, stamped anew."""
+        frame, t1_ns = copy.frame, self._clock.now_ns()
+        with self._changed:
+            round_trip_ns = self._watch.round_trip_ns(copy.worker)
+        age_ns = t1_ns - frame.t_capture_ns
+        budget_ns = self._settings.age_max_ns - age_ns - round_trip_ns
+        if budget_ns <= 0:
+            return
+        message = self._pack(frame.sequence, frame.compressed, t1_ns, budget_ns)
+        self._log.sending(SentFrame(frame.sequence, frame.t_capture_ns, t1_ns, copy.worker))
+        self._link.send(copy.worker, message, budget_ns)
+
+    def _pack(
+        self, sequence: int, compressed: CompressedFrame, t1_ns: int, budget_ns: int
+    ) -> bytes:
+        s = self._settings
+        return pack(compressed, FrameStamp(s.drone, s.boot_id, sequence, t1_ns, budget_ns))

@@ -6,9 +6,9 @@ Raw stereo depth can only take the values ``round(A / n / scale)`` for integer d
 for "no depth". Values off the lattice (another sensor, aligned depth) make the whole picture go
 out under the identity table, with the same codec and just as lossless.
 
-On a slow link a ``DepthPlan`` leaves pixels out: full resolution in a region, every second or fourth
-row and column elsewhere, nothing past a range. What is sent stays lossless, since a rounded depth is
-a bias on a flat target; what is not sent arrives as "no depth", and nothing is made up.
+On a slow link a ``DepthPlan`` leaves pixels out: full resolution in a region, every second or
+fourth row and column elsewhere, nothing past a range. What is sent stays lossless, since a rounded
+depth is a bias on a flat target; what is not arrives as "no depth", and nothing is made up.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import imagecodecs
 import numpy as np
@@ -62,7 +62,8 @@ def _rank_of_units(lattice_m: float, depth_scale_m: float) -> NDArray[np.uint16]
 
 Region: TypeAlias = tuple[int, int, int, int]
 """x0, y0, x1, y1 in pixels of a picture; x1 and y1 lie behind the last column and row."""
-STEPS = (1, 2, 4)
+Step: TypeAlias = Literal[1, 2, 4]
+STEPS: tuple[Step, ...] = (1, 2, 4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,7 @@ class DepthPlan:
         ValueError: a step that is none of ``STEPS``, or a range that is not positive.
     """
 
-    step: int = 1
+    step: Step = 1
     """Every so-manieth row and column, outside the region; 1: all."""
     region: Region | None = None
     """Sent at full resolution; it is cut to the picture."""
@@ -95,7 +96,7 @@ class CodedDepth:
     """A depth picture on the wire."""
 
     table: DepthTable
-    step: int
+    step: Step
     coarse: bytes | memoryview
     """Every ``step``-th row and column, the region's blank."""
     region: Region | None

@@ -165,7 +165,7 @@ class UdpLink:
                 self._settle(endpoint, got.welcome)
             for message in got.messages:
                 self._on_message(message, got.now_ns)
-            endpoint.after(got)
+            got.settle()
 
     def _settle(self, endpoint: Endpoint, welcome: Welcome) -> None:
         """A worker has welcomed us: its session is the way to it from now on."""

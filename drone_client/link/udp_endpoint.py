@@ -39,6 +39,7 @@ ATTEMPT_NS = 3_000_000_000
 """After so long without a WELCOME: another socket, the host's name resolved again."""
 REDIAL_APART_NS = 500_000_000
 """A handshake that is younger is given its time when another one is asked for."""
+LISTEN_ON_NS = 500_000_000
 TWIN_WAIT_NS = 2_000_000_000
 """Before an endpoint that leads to a worker which another one leads to is tried again."""
 RESEAL_AFTER = 2**27
@@ -86,6 +87,13 @@ class Came(NamedTuple):
     """Drone's clock, when it was here."""
     messages: list[bytes]
     welcome: Welcome | None = None
+    line: Line | None = None
+    """The session in which the messages came."""
+
+    def settle(self) -> None:
+        """The messages were handed on: tell the worker what others lack."""
+        if self.line is not None:
+            self.line.channel.settle(self.now_ns)
 
 
 class Endpoint:
@@ -126,10 +134,13 @@ class Endpoint:
         self._closed = False
         self.line: Line | None = None
         self.attempt: Attempt | None = None
+        self._before: Line | None = None
+        self._before_until_ns = 0
 
     def sockets(self) -> tuple[DatagramSocket, ...]:
         """Those on which something may come."""
-        return tuple(end.sock for end in (self.line, self.attempt) if end is not None)
+        ends = (self.line, self._before, self.attempt)
+        return tuple(end.sock for end in ends if end is not None)
 
     def redial(self) -> None:
         """Shake hands again, from a new source port; the session that stands stays until then."""
@@ -140,6 +151,11 @@ class Endpoint:
         due_ns = now_ns + PING_EVERY_NS
         if (line := self.line) is not None:
             due_ns = min(due_ns, self._tend(line, now_ns))
+        if self._before is not None:
+            self._before.channel.tick(now_ns)
+            if now_ns >= self._before_until_ns:
+                self._before.sock.close()
+                self._before = None
         if self._redial:
             self._redial = False
             self._wanted = True
@@ -154,7 +170,6 @@ class Endpoint:
 
     def receive(self, sock: DatagramSocket, clock: Clock) -> Came | None:
         """Take what came at once on a socket; None: nothing more."""
-        line, attempt = self.line, self.attempt
         try:
             got = sock.receive()
         except ConnectionRefusedError:
@@ -166,27 +181,31 @@ class Endpoint:
             return None
         now_ns = clock.now_ns()
         data, segment, _ = got
-        if line is not None and sock is line.sock:
-            if data and data[0] & 15 == Type.DOWN:
-                return Came(now_ns, line.channel.receive(data, segment, now_ns))
-            self._on_reset(line, data, segment, now_ns)
-        elif attempt is not None and sock is attempt.sock:
+        attempt = self.attempt
+        if attempt is not None and sock is attempt.sock:
             return Came(now_ns, [], self._on_answers(attempt, data, segment, now_ns))
+        for line in (self.line, self._before):
+            if line is not None and sock is line.sock:
+                if data and data[0] & 15 == Type.DOWN:
+                    messages = line.channel.receive(data, segment, now_ns)
+                    return Came(now_ns, messages, line=line)
+                if line is self.line:
+                    self._on_reset(line, data, segment, now_ns)
         return Came(now_ns, [])
 
-    def after(self, came: Came) -> None:
-        """What came was handed on: tell the worker what its messages lack."""
-        if self.line is not None:
-            self.line.channel.settle(came.now_ns)
-
     def settle(self, welcome: Welcome, now_ns: int) -> Line:
-        """The session of a welcome, in place of the one before it."""
+        """The session of a welcome, in place of the one before it.
+
+        That one is listened to for a while: answers to its frames are on their way.
+        """
         attempt = self.attempt
         assert attempt is not None
         self.attempt = None
         self._wanted = False
         self._backoff_ns = FIRST_WAIT_NS
-        self._close_line()
+        if self._before is not None:
+            self._before.sock.close()
+        self._before, self._before_until_ns = self.line, now_ns + LISTEN_ON_NS
         sock = attempt.sock
         line: Line
 
@@ -214,7 +233,10 @@ class Endpoint:
         """Close all sockets."""
         self._closed = True
         self._drop_attempt()
-        self._close_line()
+        for line in (self.line, self._before):
+            if line is not None:
+                line.sock.close()
+        self.line = self._before = None
         if isinstance(self._dialled, DatagramSocket):
             self._dialled.close()
 
@@ -373,11 +395,6 @@ class Endpoint:
         if self.attempt is not None:
             self.attempt.sock.close()
             self.attempt = None
-
-    def _close_line(self) -> None:
-        if self.line is not None:
-            self.line.sock.close()
-            self.line = None
 
 
 def _is_number(host: str) -> bool:

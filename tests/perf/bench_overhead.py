@@ -86,7 +86,7 @@ def measure(endpoint: str, recording: Path, frames: int, rate_hz: float) -> dict
         answers.put,
     )
     link, raw = ZenohLink("bench", (endpoint,), clock), RawTcp()
-    link.start(receiver.on_message)
+    link.start(receiver.on_message, lambda: None)
     while not link.workers():
         time.sleep(0.02)
     (worker,) = link.workers()
@@ -103,7 +103,7 @@ def measure(endpoint: str, recording: Path, frames: int, rate_hz: float) -> dict
         t1_ns = clock.now_ns()
         message = pack(compressed, FrameStamp("bench", 1, sequence, t1_ns, second_ns))
         receiver.sending(SentFrame(sequence, frame.t_capture_ns, t1_ns, worker))
-        link.send(worker, message)
+        link.send(worker, message, 10**9)
         reception = answers.get(timeout=10)
         result = reception.result
         raw_ns = raw.round_trip_ns(message, len(seal_result(result)))

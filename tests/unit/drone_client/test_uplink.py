@@ -10,17 +10,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drone_client.encoding_choice import EncodingChoice
 from drone_client.gate import SentFrame
 from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, Fate, Ledger
 from drone_client.link.memory import MemoryLink
+from drone_client.rate_control import RateSettings
 from drone_client.uplink import Uplink, UplinkSettings
-from drone_client.worker_choice import choose_worker
+from drone_client.worker_choice import ranked
 from rgbd_wire.clock import ManualClock
+from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.frame_codec import decompress, unpack
+from rgbd_wire.probe import decode_probe
 from tests.unit.drone_client.builders import CAMERA, MS, eventually, frame, pose
 
 DRONE = "drone-1"
 TIMEOUT_NS = 500 * MS
+AGE_MAX_NS = 300 * MS
+STEP_NS = 10 * MS
+FIRST, OTHER = ranked(DRONE, {"w1": 1.0, "w2": 1.0})
 
 
 class Rig:
@@ -28,21 +35,36 @@ class Rig:
 
     def __init__(self, folder: Path, workers: tuple[str, ...] = ("w1",), window: int = 2) -> None:
         self.folder = folder
-        self.workers = workers
+        self.silent: set[str] = set()
+        """Workers that do not echo."""
         self.clock = ManualClock(1_000 * MS)
         self.sent: queue.Queue[tuple[str, bytes]] = queue.Queue()
         self.told: list[SentFrame] = []
         self.broken = False
-        link = MemoryLink(self.clock, self._on_frame)
-        link.workers = lambda: self.workers  # type: ignore[method-assign] # they come and go
+        self.link = MemoryLink(self.clock, self._on_frame, workers, echo=self._on_probe)
         self.ledger = Ledger(folder)
-        settings = UplinkSettings(
-            DRONE, 77, window, TIMEOUT_NS, budget_ns=300 * MS, jpeg_quality=80
-        )
-        self.uplink = Uplink(settings, link, self.clock, self, self.ledger)
+        settings = UplinkSettings(DRONE, 77, window, TIMEOUT_NS, age_max_ns=AGE_MAX_NS)
+        choice = EncodingChoice(RateSettings(80 * MS), lambda: None)
+        self.uplink = Uplink(settings, self.link, self.clock, self, self.ledger, choice)
+        self.link.start(self._on_message, self.uplink.wake)
+        self.looks = 0
+        workers_of = self.link.workers
+
+        def counted() -> tuple[str, ...]:
+            self.looks += 1
+            return workers_of()
+
+        self.link.workers = counted  # type: ignore[method-assign] # each look begins here
 
     def sending(self, sent: SentFrame) -> None:
         self.told.append(sent)
+
+    def _on_probe(self, worker: str, message: bytes) -> tuple[bytes, ...]:
+        return () if worker in self.silent else (message,)
+
+    def _on_message(self, message: bytes, t4_ns: int) -> None:
+        _, body = unseal(message, Kind.PROBE)  # nothing else comes back by itself
+        self.uplink.echo(decode_probe(body), t4_ns)
 
     def _on_frame(self, worker: str, message: bytes) -> tuple[bytes, ...]:
         if self.broken:
@@ -60,6 +82,18 @@ class Rig:
     def submit_and_send(self) -> tuple[str, int]:
         self.uplink.submit(frame(self.clock.now_ns()), "x.png")
         return self.next_sent()
+
+    def heard(self, sequence: int, worker: str) -> None:
+        """An ack comes in."""
+        self.uplink.heard(sequence, worker, self.clock.now_ns())
+
+    def pass_time(self, ns: int) -> None:
+        """Let time pass as it does: in steps, each of which the uplink has seen."""
+        for _ in range(ns // STEP_NS):
+            self.clock.advance(STEP_NS)
+            looks = self.looks
+            self.uplink.wake()
+            assert eventually(lambda looks=looks: self.looks > looks + 1)
 
     def lines(self, name: str) -> list[dict]:
         return [json.loads(line) for line in (self.folder / name).read_text().splitlines()]
@@ -94,7 +128,7 @@ def test_a_frame_arrives_as_it_was_captured(rig):
     header = packed.header
     assert (worker, header.drone, header.boot_id, header.sequence) == ("w1", DRONE, 77, 0)
     assert (header.t_capture_ns, header.t1_ns) == (990 * MS, 1_000 * MS)
-    assert header.budget_ns == 300 * MS
+    assert header.budget_ns == AGE_MAX_NS - 10 * MS  # what is left of it when the frame leaves
     np.testing.assert_array_equal(packed.world_from_camera.matrix, taken.world_from_camera.matrix)
     received = decompress(packed)
     assert received.camera.color == CAMERA.color
@@ -109,7 +143,7 @@ def test_no_more_than_the_window_is_in_the_network_and_the_newest_goes_next(rig)
         rig.uplink.submit(frame(rig.clock.now_ns()), "x.png")
     assert rig.ledger.fates[Fate.SUPERSEDED_ON_BOARD] == 7
     assert rig.sent.empty()
-    rig.uplink.heard(0, "w1")
+    rig.heard(0, "w1")
     assert rig.next_sent() == ("w1", 9)
     superseded = [line["sequence"] for line in rig.lines(LEDGER_NAME)]
     assert superseded == [2, 3, 4, 5, 6, 7, 8]
@@ -123,7 +157,7 @@ def test_the_window_holds_while_acks_come_in_any_order(tmp_path, window):
     under_way = [rig.submit_and_send()[1] for _ in range(window)]
     for i in range(6):
         rig.uplink.submit(frame(rig.clock.now_ns()), "x.png")
-        rig.uplink.heard(under_way.pop(i % window), "w1")
+        rig.heard(under_way.pop(i % window), "w1")
         under_way.append(rig.next_sent()[1])
         assert rig.sent.empty()
     rig.uplink.stop()
@@ -136,93 +170,94 @@ def test_an_ack_of_what_holds_no_slot_frees_none(rig):
     rig.submit_and_send()
     rig.submit_and_send()
     for sequence in (99, 5):
-        rig.uplink.heard(sequence, "w1")
+        rig.heard(sequence, "w1")
     rig.uplink.submit(frame(rig.clock.now_ns()), "x.png")
     rig.uplink.submit(frame(rig.clock.now_ns()), "x.png")
     assert rig.ledger.fates[Fate.SUPERSEDED_ON_BOARD] == 1
-    rig.uplink.heard(1, "w1")
+    rig.heard(1, "w1")
     assert rig.next_sent()[1] == 3
 
 
 def test_without_a_worker_the_ledger_says_so_and_no_slot_is_taken(rig):
     """Each frame is told; as soon as there is a worker, frames go to it."""
-    rig.workers = ()
+    rig.link.set_workers(())
     for n in range(4):
         rig.uplink.submit(frame(rig.clock.now_ns()), "x.png")
         assert eventually(lambda n=n: rig.ledger.fates[Fate.NO_WORKER] == n + 1)
-    rig.workers = ("w1",)
+    rig.link.set_workers(("w1",))
     assert [rig.submit_and_send() for _ in range(2)] == [("w1", 4), ("w1", 5)]
 
 
-def test_a_worker_that_acknowledges_nothing_is_left_for_another(pair):
-    """After the ack time-out the slots are free, and the other worker gets the next frame."""
-    first = choose_worker(DRONE, ("w1", "w2"), None)
-    other = {"w1": "w2", "w2": "w1"}[first]
-    assert [pair.submit_and_send()[0] for _ in range(2)] == [first, first]
-    pair.uplink.submit(frame(pair.clock.now_ns()), "x.png")
-    pair.clock.advance(TIMEOUT_NS)
-    assert pair.next_sent() == (other, 2)
-    late = [e for e in pair.lines(EVENTS_NAME) if e["event"] == "ack_timeout"]
-    assert [(e["sequence"], e["worker"]) for e in late] == [(0, first), (1, first)]
-    pair.uplink.heard(2, other)
-    assert pair.submit_and_send()[0] == other  # and it stays there
+def test_a_worker_that_goes_silent_is_left_and_its_newest_frame_goes_to_the_other(pair):
+    """No ack, no echo: three replies missed, and a copy with a stamp of its own leaves."""
+    assert [pair.submit_and_send() for _ in range(2)] == [(FIRST, 0), (FIRST, 1)]
+    pair.silent.add(FIRST)
+    pair.pass_time(260 * MS)
+    assert pair.next_sent() == (OTHER, 1)
+    first, _, copy = pair.told
+    assert (copy.sequence, copy.worker) == (1, OTHER)
+    assert copy.t_capture_ns == first.t_capture_ns
+    assert copy.t1_ns > first.t1_ns
+    assert pair.submit_and_send() == (OTHER, 2)  # its slots are free again
+    events = {e["event"]: e for e in pair.lines(EVENTS_NAME)}
+    assert events["suspect"]["worker"] == FIRST
+    assert events["copy"]["why"] == "hand_over"
 
 
-def test_a_frame_that_times_out_late_is_not_blamed_on_the_new_worker(pair):
-    """A frame to the silent worker expires after the change: the new worker keeps its drone."""
-    first = choose_worker(DRONE, ("w1", "w2"), None)
-    other = {"w1": "w2", "w2": "w1"}[first]
-    assert pair.submit_and_send() == (first, 0)
-    pair.clock.advance(TIMEOUT_NS // 2)
-    assert pair.submit_and_send() == (first, 1)
-    pair.uplink.submit(frame(pair.clock.now_ns()), "x.png")
-    pair.clock.advance(TIMEOUT_NS // 2)
-    assert pair.next_sent() == (other, 2)
-    pair.clock.advance(TIMEOUT_NS // 2)  # frame 1, to the first one, expires now
-    pair.workers = ("w1", "w2", "w3")
-    assert pair.submit_and_send() == (other, 3)
-    late = [e["worker"] for e in pair.lines(EVENTS_NAME) if e["event"] == "ack_timeout"]
-    assert late == [first, first]
+def test_a_worker_that_is_gone_is_left_at_once(pair):
+    """No time has to pass: the token is down, and the newest frame goes to the other."""
+    assert [pair.submit_and_send() for _ in range(2)] == [(FIRST, 0), (FIRST, 1)]
+    pair.link.set_workers((OTHER,))
+    assert pair.next_sent() == (OTHER, 1)
+    assert pair.submit_and_send() == (OTHER, 2)
 
 
 def test_a_silent_worker_is_asked_again_where_there_is_no_other(rig):
-    """A drone with one worker keeps trying."""
+    """A drone with one worker keeps trying; the slots are freed by force."""
+    rig.silent.add("w1")
     for _ in range(3):
-        rig.uplink.submit(frame(rig.clock.now_ns()), "x.png")
-        assert rig.next_sent()[0] == "w1"
-        rig.clock.advance(TIMEOUT_NS)
-
-
-def test_a_silent_worker_that_went_and_came_back_is_trusted_again(pair):
-    """A restarted worker is another one."""
-    first = choose_worker(DRONE, ("w1", "w2"), None)
-    other = {"w1": "w2", "w2": "w1"}[first]
-    pair.submit_and_send()
-    pair.clock.advance(TIMEOUT_NS)
-    for live, chosen in (
-        (("w1", "w2"), other),  # the first one is silent
-        ((other,), other),  # and now it is gone
-        ((first,), first),  # back, and the other one gone
-        (("w1", "w2"), first),  # both: no reason to leave it
-    ):
-        pair.workers = live
-        worker, sequence = pair.submit_and_send()
-        assert worker == chosen
-        if worker == other:  # the first one is trusted before it has said a word
-            pair.uplink.heard(sequence, other)
+        assert rig.submit_and_send()[0] == "w1"
+        assert rig.submit_and_send()[0] == "w1"
+        rig.pass_time(TIMEOUT_NS)
+    late = [e["sequence"] for e in rig.lines(EVENTS_NAME) if e["event"] == "ack_timeout"]
+    assert late == [0, 1, 2, 3, 4, 5]
 
 
 def test_each_change_of_worker_is_an_event(rig):
     """Who was asked, who is now, and who was there."""
     rig.submit_and_send()
-    rig.uplink.heard(0, "w1")
-    rig.workers = ("w2",)
+    rig.heard(0, "w1")
+    rig.link.set_workers(("w2",))
     rig.submit_and_send()
     changes = [e for e in rig.lines(EVENTS_NAME) if e["event"] == "worker"]
     assert [(e["before"], e["now"], e["live"]) for e in changes] == [
         (None, "w1", ["w1"]),
         ("w1", "w2", ["w2"]),
     ]
+
+
+def test_a_frame_too_old_to_be_answered_in_time_is_not_sent(rig):
+    """It would only take the link from a newer one."""
+    rig.uplink.submit(frame(rig.clock.now_ns() - AGE_MAX_NS), "x.png")
+    assert eventually(lambda: rig.ledger.fates[Fate.TOO_OLD_ON_BOARD] == 1)
+    assert rig.submit_and_send() == ("w1", 1)
+
+
+def test_the_ledger_says_how_a_frame_was_coded_and_why(rig):
+    """The first one goes out at its best, since nobody knows the link yet."""
+    rig.submit_and_send()
+    rig.uplink.stop()
+    rig.ledger.close()
+    (line,) = rig.lines(LEDGER_NAME)
+    assert line["encoding"]["reason"] == "unknown_link"
+    assert line["encoding"]["depth_step"] == 1
+
+
+def test_every_worker_is_probed(pair):
+    """The idle one as well: its round trip is known before it is needed."""
+    pair.pass_time(200 * MS)
+    assert all(pair.uplink.estimate(worker) is not None for worker in ("w1", "w2"))
+    assert pair.uplink.standings() == {"w1": "willing", "w2": "willing"}
 
 
 def test_stop_ends_the_thread_whatever_it_waits_for(tmp_path):
