@@ -1,0 +1,132 @@
+"""The key file: parsing, reading, reading again."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rgbd_wire.tunnel.errors import KeyFileError
+from rgbd_wire.tunnel.keys import (
+    CHECK_EVERY_NS,
+    MAX_FILE_BYTES,
+    KeyFile,
+    generate_key,
+    load_key,
+    load_keys,
+    parse_keys,
+)
+
+KEY = "00112233445566778899aabbccddeeff" * 2
+NAMES = st.from_regex(r"[a-z0-9][a-z0-9_-]{0,31}", fullmatch=True)
+
+
+def key_file(folder: Path, text: str) -> Path:
+    path = folder / "keys"
+    path.write_text(text, encoding="ascii")
+    path.chmod(0o600)
+    return path
+
+
+@given(st.dictionaries(NAMES, st.binary(min_size=32, max_size=32), max_size=8))
+def test_what_is_written_is_read(keys: dict[str, bytes]) -> None:
+    """Every name with its key comes back, comments and blank lines do not."""
+    keys = {n: k for n, k in keys.items() if len(set(k.hex())) > 1}
+    lines = ["# a comment", "", *(f"  {n}\t{k.hex()}  # of {n}" for n, k in keys.items())]
+    assert parse_keys("\n".join(lines), "keys") == keys
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("drone-1", "keys:1: 1 words"),
+        (f"drone-1 {KEY} more", "keys:1: 3 words"),
+        (f"\nDrone {KEY}", "keys:2: the name"),
+        (f"drone-1 {KEY[1:]}", "keys:1: the key of drone-1 is not 64 hex digits (63 here)"),
+        (f"drone-1 {KEY[:-1]}g", "keys:1: the key of drone-1"),
+        (f"a {KEY}\na {KEY}", "keys:2: a has a key already"),
+        (f"a {'0' * 64}", "keys:1: the key of a is one digit"),
+    ],
+)
+def test_a_wrong_line_is_named_and_its_key_is_not_shown(text: str, wrong: str) -> None:
+    """An error says file, line and fault, and no part of a key."""
+    with pytest.raises(KeyFileError) as error:
+        parse_keys(text, "keys")
+    assert str(error.value).startswith(wrong)
+    assert KEY[4:20] not in str(error.value)
+
+
+@given(st.text(max_size=200))
+def test_any_text_is_read_or_refused(text: str) -> None:
+    """No text makes the parser fail in another way than by its own error."""
+    with contextlib.suppress(KeyFileError):
+        parse_keys(text, "keys")
+
+
+def test_a_generated_key_is_one_and_never_the_same() -> None:
+    """What ``generate_key`` gives stands in a file as it is."""
+    assert len({generate_key() for _ in range(10)}) == 10
+    assert len(parse_keys(f"a {generate_key()}", "keys")["a"]) == 32
+
+
+def test_a_file_that_cannot_be_used_is_named(tmp_path: Path) -> None:
+    """Missing, too large or not text: the message holds the file's name."""
+    large = tmp_path / "large"
+    large.write_bytes(b"#" * (MAX_FILE_BYTES + 1))
+    binary = tmp_path / "binary"
+    binary.write_bytes(b"\xff\xfe")
+    for path in (tmp_path / "missing", large, binary, tmp_path):
+        with pytest.raises(KeyFileError, match=str(path)):
+            load_keys(path)
+
+
+def test_a_file_that_everybody_reads_is_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Mode 644 is taken with a warning, 600 without."""
+    path = key_file(tmp_path, f"a {KEY}")
+    with caplog.at_level(logging.WARNING):
+        load_keys(path)
+        assert not caplog.records
+        path.chmod(0o644)
+        load_keys(path)
+    assert "everybody" in caplog.text
+
+
+def test_one_key_of_a_file(tmp_path: Path) -> None:
+    """A drone finds its own line, or learns that there is none."""
+    path = key_file(tmp_path, f"a {KEY}")
+    assert load_key(path, "a") == bytes.fromhex(KEY)
+    with pytest.raises(KeyFileError, match="no key for b"):
+        load_key(path, "b")
+
+
+def test_a_changed_file_is_read_again_once_a_second(tmp_path: Path) -> None:
+    """A new file counts from the next look on, and a look costs nothing in between."""
+    path = key_file(tmp_path, f"a {KEY}")
+    keys = KeyFile(path)
+    assert not keys.refresh(0)
+    other = tmp_path / "new"
+    other.write_text(f"b {KEY}", encoding="ascii")
+    other.replace(path)
+    assert not keys.refresh(CHECK_EVERY_NS - 1)
+    assert keys.get("a")
+    assert keys.refresh(CHECK_EVERY_NS)
+    assert keys.get("a") is None
+    assert keys.get("b") == bytes.fromhex(KEY)
+
+
+def test_a_wrong_new_file_changes_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A file that is damaged or gone while the worker runs is logged; the old keys stay."""
+    path = key_file(tmp_path, f"a {KEY}")
+    keys = KeyFile(path)
+    path.write_text("a nonsense", encoding="ascii")
+    assert not keys.refresh(0)
+    path.unlink()
+    assert not keys.refresh(CHECK_EVERY_NS)
+    assert keys.get("a") == bytes.fromhex(KEY)
+    assert "the keys stay as they were" in caplog.text
