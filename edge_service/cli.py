@@ -22,7 +22,8 @@ EXIT_USAGE = 2
 MAX_FILE_BYTES = 64_000_000
 
 app = typer.Typer(
-    help="Finds a printed target in RGB-D pictures: for drones over Zenoh, for people over HTTP.",
+    help="Finds a printed target in RGB-D pictures: for drones over Zenoh or a UDP tunnel, for "
+    "people over HTTP.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -59,6 +60,14 @@ def serve(
     connect: Annotated[
         str | None, typer.Option(help="Zenoh routers to join instead of listening.")
     ] = None,
+    tls: Annotated[
+        Path | None, typer.Option(help="Folder of certificates: Zenoh over mutual TLS.")
+    ] = None,
+    drones: Annotated[
+        str | None, typer.Option(help="Drones that may come in over TLS, separated by commas.")
+    ] = None,
+    udp: Annotated[str | None, typer.Option(help="HOST:PORT of the UDP tunnel.")] = None,
+    keys: Annotated[Path | None, typer.Option(help="The drones' keys for the tunnel.")] = None,
     http: Annotated[str | None, typer.Option(help="HOST:PORT of the HTTP side.")] = None,
     name: Annotated[str | None, typer.Option(help="This worker's name.")] = None,
     target: Target = None,
@@ -69,6 +78,10 @@ def serve(
     settings = load_settings(
         zenoh_listen=listen,
         zenoh_connect=connect,
+        zenoh_tls=tls,
+        zenoh_drones=drones,
+        udp_listen=udp,
+        tunnel_keys=keys,
         http=http,
         name=name,
         target=target,

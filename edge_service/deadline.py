@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from edge_service.pipeline import Output
+from edge_service.service_time import ServiceTime
 from rgbd_wire.messages import Outcome
 
 TRY_EVERY_NS = 250_000_000
@@ -55,25 +56,33 @@ class Prospect:
         return Output(
             Outcome.DROPPED,
             f"waited {waited} ms, service takes {takes} ms, budget {budget} ms",
-            stages_ns={"queue": max(0, self.waited_ns)},
         )
 
 
 class Deadline:
-    """Rules on frames, from any thread."""
+    """Rules on frames, from any thread.
 
-    def __init__(self) -> None:
+    Args:
+        times: what frames take.
+    """
+
+    def __init__(self, times: ServiceTime) -> None:
+        self._times = times
         self._lock = threading.Lock()
         self._tried_ns: int | None = None
 
-    def rule(self, prospect: Prospect, now_ns: int) -> Ruling:
-        """What is to become of a frame that stands like this at ``now_ns``, worker's clock."""
+    def rule(self, waited_ns: int, budget_ns: int, now_ns: int) -> tuple[Ruling, Prospect]:
+        """What is to become of a frame, and where it stands at ``now_ns``, worker's clock."""
+        prospect = Prospect(waited_ns, self._times.expected_ns(now_ns), budget_ns)
         if prospect.makes_it:
-            return Ruling.SERVE
-        if prospect.is_over:
-            return Ruling.DROP
+            return Ruling.SERVE, prospect
+        if prospect.is_over or not self._may_try(now_ns):
+            return Ruling.DROP, prospect
+        return Ruling.TRY, prospect
+
+    def _may_try(self, now_ns: int) -> bool:
         with self._lock:
             if self._tried_ns is not None and now_ns - self._tried_ns < TRY_EVERY_NS:
-                return Ruling.DROP
+                return False
             self._tried_ns = now_ns
-        return Ruling.TRY
+        return True

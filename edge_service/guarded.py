@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,11 @@ class GuardedDetector:
         """All boxes of a picture (H, W, 3), once it is this thread's turn."""
         with self._lock:
             return self._detector.detect(color_rgb)
+
+    def detect_batch(self, colors_rgb: Sequence[NDArray[np.uint8]]) -> list[Detections]:
+        """All boxes of several pictures, once it is this thread's turn."""
+        with self._lock:
+            return self._detector.detect_batch(colors_rgb)
 
     def describe(self) -> dict[str, Any]:
         """What it is and how it runs."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 
@@ -44,6 +45,18 @@ class Arrival:
     packed: PackedFrame
     t2_ns: int
     """Its last byte at the socket, worker's clock."""
+    is_try: bool = False
+    """Served even though it should be late; see ``edge_service.deadline``."""
+
+    @property
+    def drone(self) -> str:
+        """Who sent it."""
+        return self.packed.header.drone
+
+    @property
+    def deadline_ns(self) -> int:
+        """When its budget is over, worker's clock."""
+        return self.t2_ns + self.packed.header.budget_ns
 
 
 class _Boot:
@@ -165,11 +178,20 @@ class Mailbox:
             self._changed.notify()
             return None if older is None else (older, Verdict.OUTDATED)
 
-    def take(self, timeout_s: float) -> Arrival | None:
-        """The frame of the drone whose turn it is; None: none within the time, or finished."""
+    def take(
+        self, timeout_s: float, accept: Callable[[Arrival], bool] | None = None
+    ) -> Arrival | None:
+        """The frame of the drone whose turn it is; None: none within the time, or closed.
+
+        Args:
+            timeout_s: how long to wait for one.
+            accept: says which frames may be taken; the others keep their turns. It is called with
+                the mailbox locked, so it must be quick and not call back.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._turns or self._closed, timeout_s)
-            return self._next()
+            self._changed.wait_for(lambda: self._turn(accept) or self._closed, timeout_s)
+            drone = self._turn(accept)
+            return None if drone is None else self._give_out(drone)
 
     def close(self) -> None:
         """Take no more frames; those that wait are still given out."""
@@ -180,14 +202,22 @@ class Mailbox:
     def empty(self) -> list[Arrival]:
         """Give out all that wait at once."""
         with self._changed:
-            return [arrival for _ in range(len(self._turns)) if (arrival := self._next())]
+            return [self._give_out(drone) for drone in tuple(self._turns)]
 
-    def _next(self) -> Arrival | None:
-        if not self._turns:
-            return None
-        drone, _ = self._turns.popitem(last=False)
+    def _turn(self, accept: Callable[[Arrival], bool] | None) -> str | None:
+        """The first drone in turn whose frame may be taken."""
+        for drone in self._turns:
+            waiting = self._slots[drone].waiting
+            assert waiting is not None, "only drones with a frame have a turn"
+            if accept is None or accept(waiting):
+                return drone
+        return None
+
+    def _give_out(self, drone: str) -> Arrival:
+        del self._turns[drone]
         slot = self._slots[drone]
         arrival, slot.waiting = slot.waiting, None
+        assert arrival is not None, "only drones with a frame have a turn"
         return arrival
 
     def _is_idle(self, slot: _Slot, now_ns: int) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from importlib import metadata
 
 from prometheus_client import (
@@ -15,11 +16,16 @@ from prometheus_client import (
 )
 
 from edge_service.pipeline import Output
+from edge_service.tunnel_metrics import TunnelCollector
 from rgbd_wire.errors import Reject
 from rgbd_wire.messages import Outcome
 
 SECONDS = (0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15, 0.25, 0.5, 1.0)
 """Buckets around what a frame takes on a CPU and what a drone can wait."""
+BATCH_FRAMES = (1, 2, 3, 4, 6, 8, 12, 16)
+DROP_PLACES = ("intake", "worker")
+OWN_REJECTS = ("repeated", "wrong_drone", "too_fast")
+"""Why messages are refused beside the reasons of ``Reject``."""
 
 
 class Metrics:
@@ -52,6 +58,24 @@ class Metrics:
             buckets=SECONDS,
             registry=self.registry,
         )
+        self.dropped = Counter(
+            "edge_dropped",
+            "Frames dropped since their answer would have been late, by where: hopeless already "
+            "at the intake, or once they came to the worker.",
+            ["where"],
+            registry=self.registry,
+        )
+        self.batch = Histogram(
+            "edge_batch_frames",
+            "Frames that the detector took at once.",
+            buckets=BATCH_FRAMES,
+            registry=self.registry,
+        )
+        self.expected = Gauge(
+            "edge_expected_service_seconds",
+            "What a frame is expected to take now, without waiting; 0: none was served of late.",
+            registry=self.registry,
+        )
         self.requests = Counter(
             "edge_http_localize",
             "Pictures handed in over HTTP, by status code.",
@@ -65,8 +89,14 @@ class Metrics:
         # A series that appears with its first event has no rate for that event
         for outcome in Outcome:
             self.frames.labels(outcome.value)
-        for reason in (*(r.value for r in Reject), "repeated", "wrong_drone"):
+        for reason in (*(r.value for r in Reject), *OWN_REJECTS):
             self.rejected.labels(reason)
+        for where in DROP_PLACES:
+            self.dropped.labels(where)
+
+    def follow_tunnel(self, counters: Callable[[], Mapping[str, int]]) -> None:
+        """Show what the tunnel refuses, by reason; read whenever the metrics are."""
+        self.registry.register(TunnelCollector(counters))
 
     def describe(self, worker: str, model_hash: str) -> None:
         """Say who this is."""
@@ -78,7 +108,7 @@ class Metrics:
         self.frames.labels(output.outcome.value).inc()
         for stage, spent_ns in output.stages_ns.items():
             self.stage.labels(stage).observe(spent_ns * 1e-9)
-        if output.stages_ns:  # it came to the worker, and was not turned away before
+        if "decode" in output.stages_ns:  # it was worked on, and not turned away before
             self.service.observe(service_ns * 1e-9)
 
     def text(self) -> bytes:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from edge_service.detector.engine import TorchDetector
 from edge_service.guarded import GuardedDetector
 from edge_service.pipeline import Pipeline
 from edge_service.settings import EdgeSettings
+from edge_service.transport import Transport
+from edge_service.transport.several import SeveralTransports
+from edge_service.transport.udp import UdpTransport
 from edge_service.transport.zenoh import ZenohAddress, ZenohTransport
 from rgbd_wire.clock import Clock
+from rgbd_wire.tls_files import tls_files
+from rgbd_wire.tunnel.keys import KeyFile
 from target_pose.localise import localise
 from target_pose.nesting import group
 from target_pose.target import load_target
@@ -35,11 +42,52 @@ def make_pipeline(settings: EdgeSettings, clock: Clock) -> Pipeline:
     )
 
 
-def make_transport(settings: EdgeSettings) -> ZenohTransport:
-    """The link to the drones, not yet open."""
+@dataclass(frozen=True, slots=True)
+class Links:
+    """The ways to the drones, not yet open, and what people are told of them."""
+
+    transport: Transport
+    """All of them."""
+    tunnel: UdpTransport | None
+    lines: tuple[str, ...]
+    """For the start, one of each."""
+    warnings: tuple[str, ...]
+
+
+def make_links(settings: EdgeSettings, clock: Clock) -> Links:
+    """Zenoh, the UDP tunnel, or both, as the settings have it.
+
+    Raises:
+        TlsFilesError: a certificate or key cannot be used.
+        KeyFileError: the keys of the tunnel cannot be used.
+    """
+    transports: list[Transport] = []
+    lines: list[str] = []
+    warnings: list[str] = []
+    if settings.has_zenoh:
+        zenoh = _make_zenoh(settings)
+        transports.append(zenoh)
+        joined = ", ".join(settings.connect_endpoints)
+        at = f"joins {joined}" if joined else ", ".join(settings.listen_endpoints)
+        lines.append(f"zenoh  {at}")
+        warnings.extend(zenoh.warnings)
+    tunnel = None
+    if settings.udp_listen:
+        assert settings.tunnel_keys is not None, "checked with the settings"
+        keys = KeyFile(settings.tunnel_keys)
+        tunnel = UdpTransport(settings.name, f"udp/{settings.udp_listen}", keys, clock)
+        transports.append(tunnel)
+        lines.append(f"udp    {settings.udp_listen}, keys in {settings.tunnel_keys}")
+    whole = transports[0] if len(transports) == 1 else SeveralTransports(transports)
+    return Links(whole, tunnel, tuple(lines), tuple(warnings))
+
+
+def _make_zenoh(settings: EdgeSettings) -> ZenohTransport:
     address = ZenohAddress(
         listen=settings.listen_endpoints,
         connect=settings.connect_endpoints,
         lease_ms=settings.zenoh_lease_ms,
+        tls=None if settings.zenoh_tls is None else tls_files(settings.zenoh_tls),
+        drones=settings.drone_names,
     )
     return ZenohTransport(settings.name, address)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import signal
 import sys
@@ -13,11 +14,13 @@ from edge_service.http.app import create_app
 from edge_service.http.server import HttpServer, bind, url_of
 from edge_service.mailbox import Mailbox
 from edge_service.metrics import Metrics
-from edge_service.parts import make_pipeline, make_transport
+from edge_service.parts import make_links, make_pipeline
 from edge_service.service import EdgeService
 from edge_service.settings import EdgeSettings
 from edge_service.state import ServiceState
 from rgbd_wire.clock import MonotonicClock
+
+log = logging.getLogger(__name__)
 
 EXIT_OK = 0
 EXIT_STUCK = 1
@@ -28,7 +31,7 @@ def serve(settings: EdgeSettings) -> int:
     """Run until SIGTERM or SIGINT; the exit code.
 
     Raises:
-        AddressError, WeightsError, TargetFileError: it cannot start.
+        AddressError, TlsFilesError, KeyFileError, WeightsError, TargetFileError: it cannot start.
     """
     return asyncio.run(_serve(settings))
 
@@ -61,23 +64,27 @@ async def _serve(settings: EdgeSettings) -> int:
 def _bring_up(settings: EdgeSettings, state: ServiceState) -> EdgeService:
     # The link first: a port that is taken is told before seconds are spent on the model. Drones
     # come only when the token is announced.
-    transport = make_transport(settings)
-    transport.open()
-    state.transport = transport
-    joined = ", ".join(settings.connect_endpoints)
-    _say(f"zenoh  joins {joined}" if joined else f"zenoh  {', '.join(settings.listen_endpoints)}")
+    clock = MonotonicClock()
+    links = make_links(settings, clock)
+    for warning in links.warnings:
+        log.warning(warning)
+    links.transport.open()
+    state.transport = links.transport
+    if links.tunnel is not None:
+        state.metrics.follow_tunnel(links.tunnel.counters)
+    for line in links.lines:
+        _say(line)
     try:
-        clock = MonotonicClock()
         pipeline = make_pipeline(settings, clock)
     except BaseException:
-        transport.close()
+        links.transport.close()
         raise
     detector = pipeline.detector.describe()
     _say(
         f"model  {detector['name']} {pipeline.detector.model_hash[:12]}, "
         f"{detector['precision']}, {detector['threads']} threads"
     )
-    service = EdgeService(settings, pipeline, transport, state, clock)
+    service = EdgeService(settings, pipeline, links.transport, state, clock)
     service.start()
     return service
 

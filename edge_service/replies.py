@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge_service.mailbox import Arrival
 from edge_service.metrics import Metrics
 from edge_service.pipeline import Found, Output
+from edge_service.recent import Recent
 from edge_service.transport import Transport
 from rgbd_wire.clock import Clock
 from rgbd_wire.messages import (
@@ -36,9 +36,11 @@ class Replies:
         metrics: Metrics,
         clock: Clock,
     ) -> None:
-        self._worker = worker
-        self._boot_id = boot_id
-        self._model_hash = model_hash
+        self.worker = worker
+        self.boot_id = boot_id
+        self.model_hash = model_hash
+        self.recent = Recent()
+        """t3 - t2 of the frames that were looked at."""
         self._transport = transport
         self._metrics = metrics
         self._clock = clock
@@ -47,7 +49,7 @@ class Replies:
 
     def ack(self, header: FrameHeader) -> None:
         """Tell a drone that its frame has arrived whole: exactly one result will follow."""
-        ack = Ack(header.drone, header.boot_id, header.sequence, self._worker, self._boot_id)
+        ack = Ack(header.drone, header.boot_id, header.sequence, self.worker, self.boot_id)
         if not self._transport.send(header.drone, seal_ack(ack)):
             self._metrics.unsent.inc()
 
@@ -59,14 +61,13 @@ class Replies:
             probe.t1_ns,
             t2_ns=t2_ns,
             t3_ns=self._clock.now_ns(),
-            worker_boot_id=self._boot_id,
+            worker_boot_id=self.boot_id,
         )
         if not self._transport.send(drone, seal_probe(echo)):
             self._metrics.unsent.inc()
 
-    def answer(self, arrival: Arrival, output: Output) -> None:
-        """Send the one result of a frame."""
-        header = arrival.packed.header
+    def answer(self, header: FrameHeader, t2_ns: int, output: Output) -> None:
+        """Send the one result of a frame whose last byte came in at ``t2_ns``, worker's clock."""
         target = None if output.found is None else target_pose_message(output.found)
         t3_ns = self._clock.now_ns()
         result = Result(
@@ -75,20 +76,22 @@ class Replies:
             sequence=header.sequence,
             t_capture_ns=header.t_capture_ns,
             t1_ns=header.t1_ns,
-            t2_ns=arrival.t2_ns,
+            t2_ns=t2_ns,
             t3_ns=t3_ns,
-            worker=self._worker,
-            worker_boot_id=self._boot_id,
+            worker=self.worker,
+            worker_boot_id=self.boot_id,
             outcome=output.outcome,
             reason=output.reason,
             target=target,
             stages_ns=output.stages_ns,
-            model=self._model_hash,
+            model=self.model_hash,
             draining=self.draining,
         )
         if not self._transport.send(header.drone, seal_result(result)):
             self._metrics.unsent.inc()
-        self._metrics.answered(output, t3_ns - arrival.t2_ns)
+        self._metrics.answered(output, t3_ns - t2_ns)
+        if output.outcome.looked_at:
+            self.recent.note(t3_ns - t2_ns)
 
 
 def target_pose_message(found: Found) -> TargetPose:

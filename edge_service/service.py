@@ -1,7 +1,7 @@
 """The frame path as a whole: brings its parts up in order, and down again without losing a frame.
 
-Up: frames taken -> worker -> token announced. Down: token withdrawn -> new frames are told
-DRAINING, those that wait are answered -> link closed.
+Up: frames taken -> worker -> token announced -> status. Down: status says draining -> token
+withdrawn -> new frames are told DRAINING, those that wait are answered -> link closed.
 """
 
 from __future__ import annotations
@@ -9,12 +9,15 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable
 
+from edge_service.deadline import Deadline
 from edge_service.intake import ANSWERS, Intake
 from edge_service.mailbox import Verdict
 from edge_service.pipeline import Pipeline
 from edge_service.replies import Replies
+from edge_service.service_time import ServiceTime
 from edge_service.settings import EdgeSettings
 from edge_service.state import ServiceState
+from edge_service.status import StatusPublisher
 from edge_service.transport import Transport
 from edge_service.worker import Worker
 from rgbd_wire.clock import Clock
@@ -43,8 +46,22 @@ class EdgeService:
         metrics, mailbox = state.metrics, state.mailbox
         boot_id = secrets.randbits(63)
         self._replies = Replies(settings.name, boot_id, model_hash, transport, metrics, clock)
-        self._intake = Intake(mailbox, self._replies, metrics, clock)
-        self._worker = Worker(mailbox, pipeline, self._replies, clock)
+        times = ServiceTime()
+        deadline = Deadline(times)
+        self._intake = Intake(
+            mailbox,
+            self._replies,
+            deadline,
+            metrics,
+            clock,
+            max_rate_hz=settings.max_rate_hz,
+            max_drones=settings.max_drones,
+        )
+        limits = settings.batch_limits
+        self._worker = Worker(
+            mailbox, pipeline, self._replies, times, deadline, limits, metrics, clock
+        )
+        self._status = StatusPublisher(self._replies, mailbox, settings.max_drones, transport)
         metrics.describe(settings.name, model_hash)
         state.pipeline = pipeline
 
@@ -54,6 +71,7 @@ class EdgeService:
         self._worker.start()
         self._state.worker = self._worker
         self._transport.announce()
+        self._status.start()
 
     def drain(self, wait: Callable[[float], None]) -> bool:
         """Answer what is there, turn away what comes, and close the link.
@@ -68,12 +86,14 @@ class EdgeService:
         """
         self._state.draining = True
         self._replies.draining = True
+        self._status.publish()
         self._transport.withdraw()
         self._state.mailbox.close()
         self._worker.join(self._settings.drain_s)
         for arrival in self._state.mailbox.empty():
-            self._replies.answer(arrival, ANSWERS[Verdict.CLOSED])
+            self._replies.answer(arrival.packed.header, arrival.t2_ns, ANSWERS[Verdict.CLOSED])
         wait(LINGER_S)
         finished = self._worker.join(LAST_FRAME_S)
+        self._status.stop()
         self._transport.close()
         return finished

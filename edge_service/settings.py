@@ -10,10 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from edge_service.batching import BatchLimits
 from edge_service.errors import SettingsError
 
 PREFIX = "EDGE_"
@@ -24,6 +25,17 @@ _KUBERNETES_LINK = re.compile(
     r"|PORT_\d+_(TCP|UDP|SCTP)(=\w+://\S+|_(ADDR|PORT|PROTO)=\S+))"
 )
 """What Kubernetes tells every pod of the Services beside it; one called "edge" has our prefix."""
+
+
+FLAGS = {
+    "zenoh_listen": "--listen",
+    "zenoh_connect": "--connect",
+    "zenoh_tls": "--tls",
+    "zenoh_drones": "--drones",
+    "udp_listen": "--udp",
+    "tunnel_keys": "--keys",
+}
+"""Flags of the command that are not called as their settings are."""
 
 
 def default_name() -> str:
@@ -47,7 +59,8 @@ class EdgeSettings(BaseSettings):
     zenoh_listen: str = Field(
         "tcp/0.0.0.0:7447",
         max_length=1000,
-        description="Zenoh endpoints to listen on, separated by commas.",
+        description="Zenoh endpoints to listen on, separated by commas. Set and empty beside "
+        "EDGE_UDP_LISTEN: no Zenoh.",
     )
     zenoh_connect: str = Field(
         "",
@@ -59,6 +72,23 @@ class EdgeSettings(BaseSettings):
         ge=100,
         le=60_000,
         description="A link without a sign of life for so long [ms] is given up.",
+    )
+    zenoh_tls: Path | None = Field(
+        None,
+        description="Folder of ca.pem, cert.pem and key.pem: Zenoh over mutual TLS. Default: none.",
+    )
+    zenoh_drones: str = Field(
+        "",
+        max_length=40_000,
+        description="Drones whose certificates may come in over TLS, separated by commas.",
+    )
+    udp_listen: str = Field(
+        "",
+        max_length=255,
+        description="HOST:PORT on which the UDP tunnel listens, beside Zenoh. Default: no tunnel.",
+    )
+    tunnel_keys: Path | None = Field(
+        None, description="The drones' keys for the tunnel: lines of a name and 64 hex digits."
     )
     http: str = Field(
         "0.0.0.0:8080", max_length=255, description="HOST:PORT of the HTTP side; port 0: any free."
@@ -105,6 +135,25 @@ class EdgeSettings(BaseSettings):
     drone_idle_s: float = Field(
         30.0, ge=1, le=3600, description="A drone silent for so long [s] may lose its place."
     )
+    max_rate_hz: float = Field(
+        60.0,
+        ge=1,
+        le=1000,
+        description="Frames a second [Hz] of one drone that are looked at; more are turned away.",
+    )
+    batch_max: int = Field(
+        1,
+        ge=1,
+        le=16,
+        description="Frames of different drones that the detector takes at once. More than 1 pays "
+        "on a GPU; on a CPU it only makes each of them wait for the others.",
+    )
+    batch_wait_ms: float = Field(
+        0.0,
+        ge=0,
+        le=100,
+        description="How long [ms] a frame waits for others to go with, if its budget allows it.",
+    )
     drain_s: float = Field(
         5.0, ge=0, le=60, description="Longest time [s] that a stop takes to answer what is there."
     )
@@ -123,9 +172,11 @@ class EdgeSettings(BaseSettings):
                 raise ValueError("must be endpoints such as tcp/0.0.0.0:7447")
         return value
 
-    @field_validator("http")
+    @field_validator("http", "udp_listen")
     @classmethod
-    def _host_and_port(cls, value: str) -> str:
+    def _host_and_port(cls, value: str, info: ValidationInfo) -> str:
+        if info.field_name == "udp_listen" and not value:
+            return value
         host, _, port = value.rpartition(":")
         if not host or not port.isascii() or not port.isdigit() or int(port) > 65535:
             raise ValueError("must be HOST:PORT such as 0.0.0.0:8080")
@@ -133,9 +184,20 @@ class EdgeSettings(BaseSettings):
 
     @model_validator(mode="after")
     def _one_way(self) -> EdgeSettings:
-        if not self.zenoh_connect and not _split(self.zenoh_listen):
-            raise ValueError("neither EDGE_ZENOH_LISTEN nor EDGE_ZENOH_CONNECT: no way in")
+        if not self.has_zenoh and not self.udp_listen:
+            raise ValueError(
+                "neither EDGE_ZENOH_LISTEN nor EDGE_ZENOH_CONNECT nor EDGE_UDP_LISTEN: no way in"
+            )
+        if self.udp_listen and self.tunnel_keys is None:
+            raise ValueError(
+                "EDGE_UDP_LISTEN needs the drones' keys: name their file with EDGE_TUNNEL_KEYS"
+            )
         return self
+
+    @property
+    def has_zenoh(self) -> bool:
+        """There is a Zenoh endpoint to listen on or a router to join."""
+        return bool(_split(self.zenoh_connect) or _split(self.zenoh_listen))
 
     @property
     def listen_endpoints(self) -> tuple[str, ...]:
@@ -146,6 +208,16 @@ class EdgeSettings(BaseSettings):
     def connect_endpoints(self) -> tuple[str, ...]:
         """Endpoints of routers to join."""
         return _split(self.zenoh_connect)
+
+    @property
+    def drone_names(self) -> tuple[str, ...]:
+        """Drones that may come in over TLS."""
+        return _split(self.zenoh_drones)
+
+    @property
+    def batch_limits(self) -> BatchLimits:
+        """Of the batches that go through the detector."""
+        return BatchLimits(self.batch_max, round(self.batch_wait_ms * 1e6))
 
     @property
     def http_address(self) -> tuple[str, int]:
@@ -162,6 +234,11 @@ def load_settings(**flags: Any) -> EdgeSettings:
     """
     _refuse_unknown(os.environ)
     given = {name: value for name, value in flags.items() if value is not None}
+    # Elsewhere an empty variable is one that was not set, as compose files pass them on. Here it
+    # is the one way to say "none", and only where the tunnel is a way in.
+    udp = given.get("udp_listen") or os.environ.get(f"{PREFIX}UDP_LISTEN")
+    if udp and os.environ.get(f"{PREFIX}ZENOH_LISTEN") == "":
+        given.setdefault("zenoh_listen", "")
     try:
         return EdgeSettings(**given)
     except ValidationError as error:
@@ -184,7 +261,7 @@ def _sentence(error: ErrorDetails, flags: Mapping[str, Any]) -> str:
     if not error["loc"]:
         return message
     name = str(error["loc"][0])
-    where = f"--{name.removeprefix('zenoh_')}" if name in flags else PREFIX + name.upper()
+    where = FLAGS.get(name, f"--{name}") if name in flags else PREFIX + name.upper()
     return f"{where}: {message[:200]}, not {error['input']!r:.100}"
 
 

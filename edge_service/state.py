@@ -47,5 +47,7 @@ class ServiceState:
         """All metrics, with the gauges as they are now."""
         self.metrics.drones.set(self.mailbox.drones)
         self.metrics.waiting.set(self.mailbox.waiting)
+        if self.worker is not None:
+            self.metrics.expected.set(self.worker.expected_ns * 1e-9)
         self.metrics.ready.set(all(self.readiness().values()))
         return self.metrics.text()

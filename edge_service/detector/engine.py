@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -11,7 +12,12 @@ import torch
 from numpy.typing import NDArray
 
 from edge_service.detector.boxes import cell_centers, decode
-from edge_service.detector.letterbox import WORKING_SIDE_PX, check_image, letterbox
+from edge_service.detector.letterbox import (
+    WORKING_SIDE_PX,
+    Letterbox,
+    check_image,
+    letterbox,
+)
 from edge_service.detector.net import TargetNet
 from edge_service.detector.nms import suppress
 from edge_service.detector.threads import available_cpus
@@ -106,9 +112,37 @@ class TorchDetector:
         Raises:
             ImageError: it is no such picture.
         """
-        check_image(color_rgb)
-        padded, back = letterbox(color_rgb)
-        boxes, scores = self._infer(self._net, self._dtype, padded)
+        (found,) = self.detect_batch([color_rgb])
+        return found
+
+    def detect_batch(self, colors_rgb: Sequence[NDArray[np.uint8]]) -> list[Detections]:
+        """All boxes of each of several pictures; the net runs once for all of one input size.
+
+        Args:
+            colors_rgb: of each (H, W, 3), sides of 16 to 4096 px.
+
+        Raises:
+            ImageError: one of them is no such picture; the net has seen none then.
+        """
+        for color_rgb in colors_rgb:
+            check_image(color_rgb)
+        inputs = [letterbox(color_rgb) for color_rgb in colors_rgb]
+        same_size: dict[tuple[int, ...], list[int]] = {}
+        for k, (padded, _) in enumerate(inputs):
+            same_size.setdefault(padded.shape, []).append(k)
+        found: dict[int, Detections] = {}
+        for places in same_size.values():
+            whole = [inputs[k][0] for k in places]
+            padded = whole[0][None] if len(whole) == 1 else np.stack(whole)  # one: no copy
+            boxes, scores = self._infer(self._net, self._dtype, padded)
+            for row, k in enumerate(places):
+                found[k] = self._boxes(boxes[row], scores[row], inputs[k][1])
+        return [found[k] for k in range(len(inputs))]
+
+    def _boxes(
+        self, boxes: NDArray[np.float32], scores: NDArray[np.float32], back: Letterbox
+    ) -> Detections:
+        """The boxes of one picture from (N, C, 4) and (N, C) of all cells."""
         found = {}
         for c, level in enumerate(self._levels):
             above = np.flatnonzero(scores[:, c] > self._score_threshold)
@@ -123,12 +157,12 @@ class TorchDetector:
     def _infer(
         self, net: TargetNet, dtype: torch.dtype, padded: NDArray[np.uint8]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Boxes (N, C, 4) [px of the input] and scores (N, C) of all cells."""
-        height, width = padded.shape[:2]
+        """Boxes (B, N, C, 4) [px of the input] and scores (B, N, C) of inputs (B, H, W, 3)."""
+        height, width = padded.shape[1:3]
         with torch.inference_mode():
-            # (H, W, 3) seen as (1, 3, H, W) is channels_last as it lies in memory
-            image = torch.from_numpy(np.ascontiguousarray(padded)).permute(2, 0, 1)[None]
-            prediction = net(image.to(dtype) / 255)
+            # (B, H, W, 3) seen as (B, 3, H, W) is channels_last as it lies in memory
+            images = torch.from_numpy(np.ascontiguousarray(padded)).permute(0, 3, 1, 2)
+            prediction = net(images.to(dtype) / 255)
             centers = self._centers.get((height, width))
             if centers is None:
                 if (
@@ -136,8 +170,8 @@ class TorchDetector:
                 ):  # a stream has one size; strangers shall not fill memory
                     self._centers.clear()
                 centers = self._centers[height, width] = cell_centers(height, width)[0]
-            boxes = decode(prediction.distances[0], centers)
-            return boxes.numpy(), prediction.logits[0].sigmoid().numpy()
+            boxes = decode(prediction.distances, centers)
+            return boxes.numpy(), prediction.logits.sigmoid().numpy()
 
     def _fastest(self, net: TargetNet, precision: Precision) -> tuple[TargetNet, torch.dtype]:
         """The net warmed up, in the precision asked for or in the faster one of this CPU."""
@@ -150,7 +184,7 @@ class TorchDetector:
                 # torch's stub lacks the overload with a memory format alone
                 fused = fused.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
                 ready.append((fused, dtype))
-        blank = np.zeros((*WARM_UP_SIZE, 3), np.uint8)
+        blank = np.zeros((1, *WARM_UP_SIZE, 3), np.uint8)
         best = [float("inf")] * len(ready)
         limit = time.perf_counter() + WARM_UP_LIMIT_S
         for run in range(1 + WARM_UP_RUNS):

@@ -84,12 +84,17 @@ class KnownDetector:
         self.detections = true_detections() if detections is None else detections
         self.error = error
         self.seen = []
+        self.batches = []
 
     def detect(self, color_rgb):
         self.seen.append(color_rgb)
         if self.error is not None:
             raise self.error
         return self.detections
+
+    def detect_batch(self, colors_rgb):
+        self.batches.append(len(colors_rgb))
+        return [self.detect(color_rgb) for color_rgb in colors_rgb]
 
     def describe(self):
         return {"name": "known", "model_hash": self.model_hash}

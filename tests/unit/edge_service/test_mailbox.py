@@ -173,6 +173,36 @@ def test_closed_it_takes_no_more_and_gives_out_the_rest():
     assert mailbox.take(60) is None  # at once
 
 
+def test_what_is_not_accepted_keeps_its_turn():
+    """Taken is the first in turn that fits; the others are as if nobody had asked."""
+    mailbox = Mailbox(4, EVER_NS)
+    frames = {drone: arrival(drone) for drone in "abc"}
+    for frame in frames.values():
+        offer(mailbox, frame)
+    assert mailbox.take(0, lambda it: it.drone != "a") is frames["b"]
+    assert mailbox.take(0, lambda it: it.drone not in "ac") is None
+    assert [mailbox.take(0), mailbox.take(0)] == [frames["a"], frames["c"]]
+
+
+def test_a_stop_wakes_whoever_waits_for_a_frame_that_fits():
+    """Nothing more comes, so there is nothing to wait for, not even with a frame that waits."""
+    mailbox, taken = Mailbox(4, EVER_NS), []
+    offer(mailbox, arrival())
+    asked = threading.Event()
+
+    def accept(_):
+        asked.set()
+        return False
+
+    taker = threading.Thread(target=lambda: taken.append(mailbox.take(3600, accept)))
+    taker.start()
+    assert asked.wait(20)
+    mailbox.close()
+    taker.join(20)
+    assert taken == [None]
+    assert not mailbox.finished
+
+
 def test_empty_gives_out_all_that_wait():
     """What is left at the end is given out in order of the turns."""
     mailbox = Mailbox(4, EVER_NS)

@@ -13,6 +13,23 @@ from tests.unit.edge_service.edge_fakes import (
     with_broken_picture,
 )
 
+MS = 1_000_000
+
+
+class ChokingDetector(HeldDetector):
+    """Fails on batches, and on one of the pictures by itself."""
+
+    choke_on = None
+
+    def detect_batch(self, colors_rgb):
+        raise RuntimeError("one of them")
+
+    def detect(self, color_rgb):
+        if self.choke_on is not None and len(self.seen) == self.choke_on:
+            self.seen.append(color_rgb)
+            raise RuntimeError("this one")
+        return super().detect(color_rgb)
+
 
 def outcomes(bench):
     return [r.outcome for r in bench.transport.results()]
@@ -56,9 +73,131 @@ def test_a_frame_that_waited_past_its_budget_is_not_worked_on():
     detector.go.release(2)
     bench.drain()
     told = {r.drone: (r.outcome, r.reason) for r in bench.transport.results()}
-    assert told["d2"] == (Outcome.OVERLOADED, "waited 1000 ms of a budget of 1000 ms")
-    assert told["d3"] == (Outcome.TARGET, "")
+    words = "waited 1000 ms, service takes 1000 ms, budget 1000 ms"
+    assert told["d2"] == (Outcome.DROPPED, words)
+    assert told["d3"] == (Outcome.TARGET, "")  # late by all that is expected, but worth a try
     assert len(detector.seen) == 2
+    assert bench.count("edge_dropped_total", where="worker") == 1
+
+
+def measured(bench, detector, spent_ns):
+    """Frames that take so long each; two, for the time of one is noted after its answer."""
+    for sequence in range(2):
+        bench.deliver(message(drone="slow", sequence=sequence))
+        assert detector.entered.acquire(timeout=20)
+        bench.clock.advance(spent_ns)
+        detector.go.release()
+        bench.transport.wait_for_results(sequence + 1)
+
+
+def test_a_frame_that_will_be_late_is_dropped_when_it_comes():
+    """By what the frames of late took; it is acknowledged and answered, so that the clock runs."""
+    detector = HeldDetector()
+    bench = Bench(detector)
+    bench.service.start()
+    measured(bench, detector, 30 * MS)
+    for sequence in range(3):
+        bench.deliver(message(drone="d1", sequence=sequence, budget_ns=29 * MS))
+    assert detector.entered.acquire(timeout=20)  # the first one is tried
+    told = [(r.outcome, r.reason) for r in bench.transport.results() if r.drone == "d1"]
+    assert told == [(Outcome.DROPPED, "waited 0 ms, service takes 30 ms, budget 29 ms")] * 2
+    assert [a.sequence for a in bench.transport.acks() if a.drone == "d1"] == [0, 1, 2]
+    assert bench.count("edge_dropped_total", where="intake") == 2
+    detector.go.release()
+    bench.drain()
+
+
+def test_the_expected_time_is_shown_and_forgotten():
+    """What a frame takes of late is a metric, and after some silence it is not claimed any more."""
+    detector = HeldDetector()
+    bench = Bench(detector)
+    bench.service.start()
+    measured(bench, detector, 30 * MS)
+    assert "edge_expected_service_seconds 0.03" in bench.state.metrics_text().decode()
+    bench.clock.advance(3600 * SECOND_NS)
+    bench.drain()
+    assert "edge_expected_service_seconds 0.0\n" in bench.state.metrics_text().decode()
+
+
+def waiting_for(bench, detector, n, **fields):
+    """``n`` frames of different drones that wait while another one is in work."""
+    bench.deliver(message(drone="first"))
+    assert detector.entered.acquire(timeout=20)
+    for k in range(n):
+        bench.deliver(message(drone=f"d{k}", **fields))
+
+
+def test_frames_of_different_drones_go_through_the_detector_together():
+    """As many as may and as are there; each has its own result, in the order of the turns."""
+    detector = HeldDetector()
+    bench = Bench(detector, batch_max=3)
+    bench.service.start()
+    waiting_for(bench, detector, 4)
+    detector.go.release(5)
+    bench.drain()
+    assert detector.batches == [3]
+    assert [r.drone for r in bench.transport.results()] == ["first", "d0", "d1", "d2", "d3"]
+    assert set(outcomes(bench)) == {Outcome.TARGET}
+    assert bench.count("edge_batch_frames_sum") == 5
+    assert bench.count("edge_batch_frames_count") == 3
+
+
+def test_without_batches_each_goes_alone():
+    """The default: nobody waits for anybody."""
+    detector = HeldDetector()
+    bench = Bench(detector)
+    bench.service.start()
+    waiting_for(bench, detector, 3)
+    detector.go.release(4)
+    bench.drain()
+    assert detector.batches == []
+
+
+def test_one_bad_frame_does_not_take_its_batch_down(caplog):
+    """A picture that breaks, one that the detector chokes on: the others have their poses."""
+    detector = ChokingDetector()
+    bench = Bench(detector, batch_max=8)
+    bench.service.start()
+    waiting_for(bench, detector, 2)
+    bench.deliver(with_broken_picture(message(drone="broken")))
+    bench.deliver(message(drone="choke", bare=True))
+    detector.choke_on = 3  # of those that it sees in the batch
+    detector.go.release(20)
+    bench.drain()
+    told = {r.drone: r.outcome for r in bench.transport.results()}
+    assert told == {
+        "first": Outcome.TARGET,
+        "d0": Outcome.TARGET,
+        "d1": Outcome.TARGET,
+        "broken": Outcome.BAD_FRAME,
+        "choke": Outcome.FAILED,
+    }
+    assert "batch failed" in caplog.text
+
+
+def test_a_frame_without_time_for_a_batch_goes_alone():
+    """Two frames take 60 ms by what is known: one that has 59 takes nobody along."""
+    detector = HeldDetector()
+    bench = Bench(detector, batch_max=2)
+    bench.service.start()
+    measured(bench, detector, 30 * MS)
+    waiting_for(bench, detector, 1, budget_ns=59 * MS)
+    bench.deliver(message(drone="easy"))
+    detector.go.release(3)
+    bench.drain()
+    assert detector.batches == []
+    assert [r.drone for r in bench.transport.results()[-2:]] == ["d0", "easy"]
+
+
+def test_a_stop_while_a_batch_waits_for_more_loses_nothing():
+    """What is there is served, and the drain has its end."""
+    detector = HeldDetector()
+    bench = Bench(detector, batch_max=2, batch_wait_ms=100)
+    bench.service.start()
+    bench.deliver(message())
+    detector.go.release()
+    assert bench.drain()
+    assert outcomes(bench) == [Outcome.TARGET]
 
 
 def test_stamps_and_stages_tell_waiting_from_work():
