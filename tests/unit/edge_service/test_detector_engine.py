@@ -128,6 +128,41 @@ def test_a_view_that_is_not_contiguous_gives_the_same(untrained):
     assert untrained.detect(view) == untrained.detect(view.copy())
 
 
+def test_a_batch_finds_what_each_picture_alone_has(untrained):
+    """Pictures of several sizes, in any order: the boxes of each, where they belong."""
+    scenes = [
+        _scene(96, 64, (50.0, 30.0), 30.0, seed=1)[0],
+        _scene(320, 240, (150.0, 110.0), 80.0, seed=2)[0],
+        _scene(96, 64, (30.0, 40.0), 24.0, seed=3)[0],
+    ]
+    together = untrained.detect_batch(scenes)
+    for got, picture in zip(together, scenes, strict=True):
+        want = untrained.detect(picture)
+        for level in Level:
+            a, b = (
+                np.array([(x.x0, x.y0, x.x1, x.y1, x.score) for x in boxes[:1]])
+                for boxes in (got.boxes[level], want.boxes[level])
+            )
+            np.testing.assert_allclose(a, b, atol=1e-2)
+
+
+def test_a_batch_of_real_pictures_has_the_target_in_each(shipped):
+    """The shipped weights, two pictures through the net at once."""
+    scenes = [_scene(seed=seed) for seed in (0, 1)]
+    pictures = [picture for picture, _ in scenes]
+    for detections, (picture, truth) in zip(shipped.detect_batch(pictures), scenes, strict=True):
+        (found,) = group(detections, TARGET, picture)
+        for level, box in found.boxes.items():
+            assert _overlap(box, truth[level]) > 0.6, level
+
+
+def test_a_batch_with_one_that_is_no_picture_raises(untrained):
+    """Before the net has seen any: the caller then asks one by one."""
+    with pytest.raises(ImageError, match="px"):
+        untrained.detect_batch([np.zeros((64, 64, 3), np.uint8), np.zeros((8, 8, 3), np.uint8)])
+    assert untrained.detect_batch([]) == []
+
+
 def test_what_is_no_picture_raises(untrained):
     """A gray array is refused before the net sees it."""
     with pytest.raises(ImageError, match="shape"):

@@ -44,5 +44,6 @@ def test_one_inference_at_a_time():
         answers = list(pool.map(ask, range(3)))
     assert answers == [detector.detections] * 3
     assert detector.overlaps == 0
+    assert guarded.detect_batch([COLOR, COLOR]) == [detector.detections] * 2
     assert guarded.model_hash == detector.model_hash
     assert guarded.describe() == detector.describe()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
@@ -171,6 +173,54 @@ def test_a_probe_comes_back_at_once_with_the_workers_stamps():
     assert bench.count("edge_probes_total") == 1
     assert bench.state.mailbox.drones == 1  # who only probes takes nobody's place
     bench.drain()
+
+
+def test_a_drone_that_floods_is_turned_away_and_the_others_are_served():
+    """At the rate: served. Over it: told, and then not even that. Nobody else notices."""
+    bench = Bench(max_rate_hz=30)
+    bench.service.start()
+    for sequence in range(100):
+        bench.deliver(message(drone="loud", sequence=sequence))
+    bench.deliver(message(drone="quiet"))
+    bench.drain()
+    told = Counter((r.drone, r.outcome) for r in bench.transport.results())
+    assert told["quiet", Outcome.TARGET] == 1
+    assert told["loud", Outcome.TARGET] + told["loud", Outcome.SUPERSEDED] == 8
+    assert told["loud", Outcome.OVERLOADED] == 8
+    assert sum(told.values()) == 17
+    assert bench.count("edge_rejected_total", reason="too_fast") == 92
+
+
+def test_of_a_frame_that_is_too_much_only_the_header_is_looked_at():
+    """The checksum of its pictures is not worth the time; the header must be this drone's own."""
+    bench = Bench(max_rate_hz=1)
+    bench.service.start()
+    for sequence in range(8):
+        bench.deliver(message(sequence=sequence))
+    bench.transport.wait_for_results(8)
+    broken = bytearray(message(sequence=8))
+    broken[-1] ^= 1
+    bench.deliver(bytes(broken))
+    last = bench.transport.results()[-1]
+    assert (last.sequence, last.outcome) == (8, Outcome.OVERLOADED)
+    for data in (message(drone="d2"), b"", b"junk", seal(Kind.FRAME, b"\xff" * 9)):
+        bench.deliver(data, drone="d1")
+    assert len(bench.transport.results()) == 9
+    assert bench.count("edge_rejected_total", reason="too_fast") == 5
+    bench.drain()
+
+
+def test_probes_have_a_rate_of_their_own():
+    """A flood of them is bounded, and takes nothing from the drone's frames."""
+    bench = Bench()
+    bench.service.start()
+    for sequence in range(100):
+        bench.deliver(seal_probe(Probe(7, sequence, 1)))
+    assert len(bench.transport.echoes()) == 15
+    assert bench.count("edge_rejected_total", reason="too_fast") == 85
+    bench.deliver(message())
+    bench.drain()
+    assert [r.outcome for r in bench.transport.results()] == [Outcome.TARGET]
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,27 @@ def test_a_picture_that_does_not_decode_is_a_bad_frame():
     assert detector.seen == []
 
 
+def test_of_several_frames_each_has_its_own_end():
+    """A batch that fails is looked at one by one: only the one at fault is bad."""
+    detector = KnownDetector()
+    spoilt = ImageError("too small")
+
+    def detect(color_rgb):
+        if color_rgb is frames[1].color_rgb:
+            raise spoilt
+        return detector.detections
+
+    detector.detect = detect
+    frames = [frame(), replace(frame(), color_rgb=COLOR.copy()), frame(depth=None)]
+    stages = [{}, {}, {}]
+    made = pipeline(detector)
+    seen = made.detect(frames, stages)
+    assert seen == [detector.detections, spoilt, detector.detections]
+    outputs = [made.conclude(*each) for each in zip(frames, seen, stages, strict=True)]
+    assert [o.outcome for o in outputs] == [Outcome.TARGET, Outcome.BAD_FRAME, Outcome.TARGET]
+    assert list(outputs[0].stages_ns) == ["detect", "nest", "localise"]
+
+
 def test_a_picture_that_the_detector_does_not_take_is_a_bad_frame():
     """A frame too small for the detector is the sender's fault, and is told why."""
     detector = KnownDetector(error=ImageError("a picture's side is 16 to 4096 px, not 8x8"))

@@ -7,6 +7,7 @@ import os
 import pytest
 from pydantic import ValidationError
 
+from edge_service.batching import BatchLimits
 from edge_service.errors import SettingsError
 from edge_service.settings import EdgeSettings, default_name, load_settings
 from rgbd_wire.messages import Ack, seal_ack
@@ -84,6 +85,58 @@ def test_a_wrong_flag_is_named_as_the_flag():
     """Who typed --listen is not told of a variable."""
     with pytest.raises(SettingsError, match=r"^--listen: must be endpoints .*, not 'junk'$"):
         load_settings(zenoh_listen="junk")
+
+
+KEYS = "/run/keys"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("EDGE_UDP_LISTEN", "0.0.0.0:7448", ["EDGE_UDP_LISTEN", "EDGE_TUNNEL_KEYS"]),
+        ("EDGE_UDP_LISTEN", "7448", ["EDGE_UDP_LISTEN", "HOST:PORT"]),
+        ("EDGE_BATCH_MAX", "17", ["EDGE_BATCH_MAX", "less than or equal to 16"]),
+        ("EDGE_BATCH_WAIT_MS", "-1", ["EDGE_BATCH_WAIT_MS"]),
+        ("EDGE_MAX_RATE_HZ", "0", ["EDGE_MAX_RATE_HZ"]),
+        ("EDGE_TUNNEL_KEY", KEYS, ["did you mean EDGE_TUNNEL_KEYS?"]),
+    ],
+)
+def test_wrong_settings_of_the_links_are_told(monkeypatch, name, value, words):
+    """The tunnel needs keys; bounds hold."""
+    monkeypatch.setenv(name, value)
+    with pytest.raises(SettingsError) as error:
+        load_settings()
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_the_tunnel_alone_is_a_way_in(monkeypatch):
+    """An empty EDGE_ZENOH_LISTEN beside the tunnel turns Zenoh off; without one it is not set."""
+    monkeypatch.setenv("EDGE_ZENOH_LISTEN", "")
+    assert load_settings().has_zenoh
+    monkeypatch.setenv("EDGE_UDP_LISTEN", "0.0.0.0:7448")
+    monkeypatch.setenv("EDGE_TUNNEL_KEYS", KEYS)
+    settings = load_settings()
+    assert (settings.has_zenoh, settings.udp_listen) == (False, "0.0.0.0:7448")
+    assert load_settings(zenoh_listen="tcp/127.0.0.1:1").has_zenoh
+    monkeypatch.delenv("EDGE_ZENOH_LISTEN")
+    assert load_settings().has_zenoh
+
+
+def test_flags_of_the_links_are_named_as_flags():
+    """Who typed --udp is not told of a variable."""
+    with pytest.raises(SettingsError, match=r"^--udp: must be HOST:PORT"):
+        load_settings(udp_listen="junk", tunnel_keys=KEYS)
+
+
+def test_batches_and_names_are_passed_on_by_value():
+    """What the worker and Zenoh are given."""
+    settings = EdgeSettings(
+        name="w1", batch_max=4, batch_wait_ms=2.5, zenoh_drones="d1, d2", zenoh_tls="/run/tls"
+    )
+    assert settings.batch_limits == BatchLimits(4, 2_500_000)
+    assert settings.drone_names == ("d1", "d2")
+    assert EdgeSettings(name="w1").batch_limits == BatchLimits(1, 0)
 
 
 def test_settings_are_frozen_and_closed():
