@@ -143,7 +143,8 @@ def load_settings(**flags: Any) -> ClientSettings:
 def about(field: str) -> str:
     """Help of the flag that stands for a field: what it is, and its default."""
     info = ClientSettings.model_fields[field]
-    return f"{info.description} (default: {info.default})"
+    default = "" if info.default is None else f" (default: {info.default})"
+    return f"{info.description}{default}"
 
 
 def known_name(field: str) -> str:

@@ -142,7 +142,7 @@ def test_help_of_replay_has_units_defaults_and_an_example(command):
         (["rec", "--camera", "rec/rgb.txt"], "camera file rec/rgb.txt: not JSON: "),
         (["rec", "--camera", "wide.json"], "rec/rgb/0.png is 16x12, the camera file says 17x12"),
         (["rec", "--connect", "127.0.0.1:7447"], "did you mean tcp/127.0.0.1:7447?"),
-        (["rec", "--connect", ","], "no endpoint to connect to"),
+        (["rec", "--connect", ","], "no endpoint; such as"),
         (["rec", "--tau-max-ms", "400"], "--tau-max-ms = 400 exceeds --age-max-ms = 300"),
         (["rec", "--window", "99"], "--window = 99: input should be less than or equal to 16"),
         (["rec", "--name", "My Drone"], "this drone's name: a-z, 0-9"),

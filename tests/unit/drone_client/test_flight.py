@@ -255,7 +255,8 @@ def test_settings_reach_the_parts_in_nanoseconds_and_each_start_is_another():
     settings = ClientSettings(tau_max_ms=123.5, age_max_ms=200, control_hz=100, window=3)
     a, b = flight_settings(settings), flight_settings(settings)
     assert (a.gate.tau_max_ns, a.gate.age_max_ns) == (123_500_000, 200 * MS)
-    assert (a.uplink.window, a.uplink.budget_ns) == (3, 200 * MS)
+    assert (a.uplink.window, a.uplink.age_max_ns) == (3, 200 * MS)
+    assert a.rate.serialisation_max_ns == 41_166_666
     assert a.control.filter.period_s == 0.01
     assert a.uplink.boot_id != b.uplink.boot_id
 

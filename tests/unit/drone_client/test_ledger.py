@@ -83,7 +83,7 @@ def test_a_line_tells_what_is_known_of_the_frame(tmp_path):
     ledger = Ledger(tmp_path)
     ledger.captured(FrameEntry(0, "a.png", 10))
     ledger.captured(FrameEntry(1, "b.png", 20))
-    ledger.sent(0, 15, "w1", 1234)
+    ledger.sent(0, 15, "w1", 1234, {"rung": "full"})
     ledger.close_frame(0, Fate.ANSWERED, {"verdict": "accepted"})
     ledger.close()
     assert strictly(tmp_path / LEDGER_NAME) == [
@@ -93,6 +93,7 @@ def test_a_line_tells_what_is_known_of_the_frame(tmp_path):
             "fate": "answered",
             "worker": "w1",
             "bytes": 1234,
+            "encoding": {"rung": "full"},
             "t_capture_ns": 10,
             "t1_ns": 15,
             "verdict": "accepted",
@@ -103,6 +104,7 @@ def test_a_line_tells_what_is_known_of_the_frame(tmp_path):
             "fate": "interrupted",
             "worker": None,
             "bytes": None,
+            "encoding": None,
             "t_capture_ns": 20,
             "t1_ns": None,
         },

@@ -123,7 +123,7 @@ def test_without_a_recording_the_picture_weighs_what_a_real_one_does():
     """640x480, depth on a stereo sensor's lattice, tens of kilobytes."""
     (picture,) = load_test._pictures(None, None, 80)
     assert picture.frame.color_rgb.shape == (480, 640, 3)
-    assert picture.depth_table == "lattice"
+    assert picture.depth.table == "lattice"
     assert 20_000 < picture.size_bytes < 300_000
 
 
