@@ -7,7 +7,7 @@ every doubt makes it larger.
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from rgbd_wire.camera import RgbdCamera
 from rgbd_wire.depth import Region
@@ -20,8 +20,6 @@ SPEED_MPS = 0.5
 """How fast the target may move against what is believed: the drone's top speed and its drift."""
 MARGIN_PX = 16
 """For the lens's distortion, which is left out here."""
-MIN_DISTANCE_M = 0.15
-"""Nearer than this, the whole picture is the target."""
 
 
 def depth_region(
@@ -39,16 +37,32 @@ def depth_region(
     center = (depth_from_camera @ world_from_camera.inverse() @ world_from_target).translation
     x, y, z = center.tolist()
     radius_m = BOARD_RADIUS_M + SPEED_MPS * max(0, age_ns) / 1e9
-    lens = camera.depth
     if z < -radius_m:
         return None
-    near_m, far_m = z - radius_m, z + radius_m
-    if near_m < MIN_DISTANCE_M:
-        return 0, 0, lens.width, lens.height
-    # The ball lies in a box of its radius, and that between its corners' rays
-    distances_m = np.array([near_m, far_m])
-    us = lens.cx + lens.fx * (x + radius_m * np.array([[-1.0], [1.0]])) / distances_m
-    vs = lens.cy + lens.fy * (y + radius_m * np.array([[-1.0], [1.0]])) / distances_m
-    x0, x1 = max(0, int(us.min()) - MARGIN_PX), min(lens.width, int(us.max()) + MARGIN_PX + 2)
-    y0, y1 = max(0, int(vs.min()) - MARGIN_PX), min(lens.height, int(vs.max()) + MARGIN_PX + 2)
+    lens = camera.depth
+    left, right = _tangents(x, z, radius_m)
+    top, bottom = _tangents(y, z, radius_m)
+    x0, x1 = _span(lens.cx + lens.fx * left, lens.cx + lens.fx * right, lens.width)
+    y0, y1 = _span(lens.cy + lens.fy * top, lens.cy + lens.fy * bottom, lens.height)
     return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
+
+
+def _tangents(aside_m: float, ahead_m: float, radius_m: float) -> tuple[float, float]:
+    """Slopes of the two rays that touch a disc; infinite where they do not point ahead."""
+    distance_m = math.hypot(aside_m, ahead_m)
+    if distance_m <= radius_m:
+        return -math.inf, math.inf
+    middle, half = math.atan2(aside_m, ahead_m), math.asin(radius_m / distance_m)
+    low, high = middle - half, middle + half
+    right_angle = math.pi / 2
+    return (
+        math.tan(low) if abs(low) < right_angle else math.copysign(math.inf, low),
+        math.tan(high) if abs(high) < right_angle else math.copysign(math.inf, high),
+    )
+
+
+def _span(low_px: float, high_px: float, side_px: int) -> tuple[int, int]:
+    """First pixel and the one behind the last, with the margin, within the picture."""
+    first = min(max(low_px - MARGIN_PX, 0.0), float(side_px))
+    behind = min(max(high_px + MARGIN_PX + 1.0, 0.0), float(side_px))
+    return math.floor(first), math.ceil(behind)

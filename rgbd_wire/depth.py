@@ -54,10 +54,12 @@ def lattice_values(lattice_m: float, depth_scale_m: float) -> NDArray[np.uint16]
 
 @lru_cache(maxsize=8)
 def _rank_of_units(lattice_m: float, depth_scale_m: float) -> NDArray[np.uint16]:
-    """Rank (65536,) of each depth; a depth off the lattice has the rank of its lower neighbour."""
+    """Rank (65536,) of each depth; a depth off the lattice has 65535, which is then no rank."""
     values = lattice_values(lattice_m, depth_scale_m)
-    ranks = np.searchsorted(values, np.arange(MAX_DEPTH_UNITS + 1), side="right") - 1
-    return ranks.astype(np.uint16)
+    ranks = np.full(MAX_DEPTH_UNITS + 1, MAX_DEPTH_UNITS, np.uint16)
+    ranks[values] = np.arange(values.size)
+    ranks.flags.writeable = False
+    return ranks
 
 
 Region: TypeAlias = tuple[int, int, int, int]
@@ -128,26 +130,38 @@ def encode_depth(
         depth_scale_m: metres of a unit.
         plan: which pixels.
     """
-    picture = np.ascontiguousarray(depth_units)
-    if plan.range_max_m is not None:
-        far_units = min(plan.range_max_m / depth_scale_m, float(MAX_DEPTH_UNITS))
-        picture = np.where(picture > far_units, np.uint16(0), picture)
+    h, w = depth_units.shape
+    s = plan.step
+    region = None if plan.region is None or s == 1 else _cut(plan.region, (h, w))
+    if region == (0, 0, w, h):
+        s, region = 1, None  # all of it, as one picture
+    # What is left out first, since every look at a pixel costs the drone
+    parts = [_near(depth_units[::s, ::s], plan.range_max_m, depth_scale_m)]
+    if region is not None:
+        x0, y0, x1, y1 = region
+        parts.append(_near(depth_units[y0:y1, x0:x1], plan.range_max_m, depth_scale_m))
+        parts[0] = parts[0].copy()
+        # These samples are in the other part
+        parts[0][-(-y0 // s) : -(-y1 // s), -(-x0 // s) : -(-x1 // s)] = 0
     table = DepthTable.IDENTITY
     if lattice_m > 0:
-        ranks = _rank_of_units(lattice_m, depth_scale_m)[picture]
-        if np.array_equal(lattice_values(lattice_m, depth_scale_m)[ranks], picture):
-            table, picture = DepthTable.LATTICE, ranks
-    if plan.step == 1:
-        return CodedDepth(table, 1, _jxl(picture), None, b"")
-    region = None if plan.region is None else _cut(plan.region, picture.shape)
-    if region is None:
-        return CodedDepth(table, plan.step, _jxl(picture[:: plan.step, :: plan.step]), None, b"")
-    x0, y0, x1, y1 = region
-    fine = _jxl(picture[y0:y1, x0:x1])
-    rest = picture[:: plan.step, :: plan.step].copy()
-    s = plan.step
-    rest[-(-y0 // s) : -(-y1 // s), -(-x0 // s) : -(-x1 // s)] = 0  # its samples are in the other
-    return CodedDepth(table, s, _jxl(rest), region, fine)
+        ranks_of_units = _rank_of_units(lattice_m, depth_scale_m)
+        count = lattice_values(lattice_m, depth_scale_m).size
+        ranks = [ranks_of_units[part] for part in parts]
+        if all(int(part.max()) < count for part in ranks):
+            table, parts = DepthTable.LATTICE, ranks
+    coarse, *fine = map(_jxl, parts)
+    return CodedDepth(table, s, coarse, region, fine[0] if fine else b"")
+
+
+def _near(
+    units: NDArray[np.uint16], range_max_m: float | None, depth_scale_m: float
+) -> NDArray[np.uint16]:
+    """The same without what is too far away."""
+    if range_max_m is None:
+        return units
+    far_units = min(range_max_m / depth_scale_m, float(MAX_DEPTH_UNITS))
+    return np.where(units > np.uint16(far_units), np.uint16(0), units)
 
 
 def _cut(region: Region, shape: tuple[int, ...]) -> Region | None:

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
+from rgbd_wire.depth import DepthPlan
 from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.frame import RgbdFrame
-from rgbd_wire.depth import DepthPlan
 from rgbd_wire.frame_codec import BEST, Encoding, FrameStamp, compress, pack, unpack
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import (

@@ -81,6 +81,35 @@ def test_one_lucky_ack_does_not_raise_it():
     assert estimate.bytes_per_s <= 1.05e6
 
 
+@given(
+    st.floats(5e5, 5e6),
+    delays_ns,
+    st.lists(st.integers(0, 4 * MS), min_size=60, max_size=60),
+)
+def test_jitter_of_the_acks_does_not_carry_it_away(rate, delay_ns, late_ns):
+    """An ack that is a few ms late takes from its own sample and gives to the next one."""
+    estimate, link = Goodput(), Link(delay_ns)
+    for n, extra_ns in enumerate(late_ns):
+        t1_ns, t_ack_ns = link.send(100_000, rate)
+        estimate.acked(100_000, t1_ns, t_ack_ns + extra_ns, 2 * delay_ns)
+        if n > 10:
+            spare = 1e5 / rate * 1e9
+            assert rate * spare / (spare + 4.1 * MS) <= estimate.bytes_per_s
+            assert estimate.bytes_per_s <= rate * spare / (spare - 4.1 * MS)
+
+
+@given(st.floats(5e5, 5e6), delays_ns, st.integers(2, 9))
+def test_lost_acks_do_not_carry_it_away(rate, delay_ns, every):
+    """A sample over two frames' time is low; the median passes over one in three, or halves."""
+    estimate, link = Goodput(), Link(delay_ns)
+    for n in range(60):
+        t1_ns, t_ack_ns = link.send(100_000, rate)
+        if n % every:
+            estimate.acked(100_000, t1_ns, t_ack_ns, 2 * delay_ns)
+    least = 0.99 if every > 4 else 0.49
+    assert least * rate <= estimate.bytes_per_s <= 1.01 * rate
+
+
 times = st.integers(0, 2**62)
 
 
