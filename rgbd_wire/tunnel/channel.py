@@ -131,12 +131,16 @@ class Channel:
         if not inners:
             return messages
         self.heard_ns = now_ns
-        add = partials.add
-        for inner in inners:
+        index, count = partials.add_run(inners, 0, now_ns), len(inners)
+        while index < count:
+            inner = inners[index]
+            index += 1
             if inner[0] == _SHARD:
-                message = add(inner, now_ns)
+                message = partials.add(inner, now_ns)
                 if message is not None:
                     messages.append(message)
+                elif index < count:
+                    index = partials.add_run(inners, index, now_ns)
             else:
                 try:
                     self._on_word(inner, now_ns)

@@ -19,20 +19,22 @@ class ParityControl:
 
     def __init__(self) -> None:
         self._lost = deque[float](maxlen=REMEMBERED)
+        self._worst = 0.0
         self.loss = 0.0
         """Share of symbols that is lost, smoothed over about 16 messages."""
+        self.lossy = False
+        """Something was lost in these 64."""
         self.rate = START
         """Parity over data of the last message asked for."""
-
-    @property
-    def lossy(self) -> bool:
-        """Something was lost lately."""
-        return any(self._lost)
 
     def on_report(self, received: int, lost: int) -> None:
         """What a receiver counted of one message."""
         share = lost / max(1, received + lost)
         self._lost.append(share)
+        # Here and not for each message: what is sent next should leave at once
+        ordered = sorted(self._lost)
+        self._worst = ordered[-min(2, len(ordered))]
+        self.lossy = ordered[-1] > 0
         self.loss += (share - self.loss) / 16
 
     def symbols(self, data_symbols: int, *, crowded: bool) -> int:
@@ -48,8 +50,7 @@ class ParityControl:
         elif not self.lossy:
             rate = 0.0 if crowded else LOW
         else:
-            worst = sorted(self._lost)[-min(2, len(self._lost))]
-            wanted = worst / max(1.0 - worst, 0.5) + 1.0 / data_symbols
+            wanted = self._worst / max(1.0 - self._worst, 0.5) + 1.0 / data_symbols
             rate = min(max(wanted, LOW), CROWDED if crowded else HIGH)
         count = math.ceil(data_symbols * rate - 1e-9)
         self.rate = count / data_symbols

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 from raptorq import Decoder  # type: ignore[import-untyped]
 
 from rgbd_wire.tunnel.errors import Counters, Refusal
@@ -28,6 +30,7 @@ STALE_NS = 400_000_000
 SHARD_HEAD_BYTES = SHARD_HEAD.size
 _unpack = SHARD_HEAD.unpack_from
 _KEYS = MESSAGE_IDS - 1
+_FULL_BYTES = SHARD_HEAD_BYTES + SYMBOL_BYTES
 DATAGRAM_HEADS_BYTES = 68
 """What a symbol weighs more on the wire: IPv4, UDP, outer, tag, inner."""
 
@@ -147,6 +150,36 @@ class Partials:
             return None
         return self._finish(partial, esi, symbol)
 
+    def add_run(self, inners: list[bytes], start: int, now_ns: int) -> int:
+        """Take full symbols of the newest message as long as they follow one another.
+
+        Nearly all of a frame comes this way, so it does the least for each.
+
+        Returns:
+            The index of the first one that it did not take; ``add`` is for that.
+        """
+        partial = self._newest
+        if partial is None:
+            return start
+        data, head, tail = partial.data, partial.head, partial.tail
+        # Never the last one: nothing is whole after a run
+        first = expected = partial.highest + 1
+        last = min(partial.symbols - 1, first + partial.symbols - 1 - partial.got)
+        unpack, index = _unpack, start
+        for inner in islice(inners, start, None):
+            if expected >= last or len(inner) != _FULL_BYTES:
+                break
+            if unpack(inner) != (head, expected, tail) or data[expected] is not None:
+                break
+            data[expected] = inner[SHARD_HEAD_BYTES:]
+            expected += 1
+            index += 1
+        if count := index - start:
+            partial.got += count
+            partial.got_data += count
+            self._note(partial, count, expected - 1, now_ns)
+        return index
+
     def _first(self, head: int, tail: int, symbol: bytes, esi: int, now_ns: int) -> bytes | None:
         """A shard of a message that is not in pieces yet."""
         message_id = self._unwrap(tail & _KEYS)
@@ -186,17 +219,25 @@ class Partials:
         else:
             partial.repair[esi] = symbol
         partial.got += 1
+        if esi < partial.first_round:
+            self._note(partial, 1, esi, now_ns)
+        elif now_ns != partial.last_ns:
+            partial.batches += 1
+            partial.last_ns = now_ns
+        return True
+
+    @staticmethod
+    def _note(partial: _Partial, count: int, esi: int, now_ns: int) -> None:
+        """Symbols of the first round came, the last of them ``esi``."""
+        partial.got_first += count
+        if esi > partial.highest:
+            partial.highest = esi
         if now_ns != partial.last_ns:
             partial.batches += 1
             partial.last_ns = now_ns
-        if esi < partial.first_round:
-            partial.got_first += 1
-            if esi > partial.highest:
-                partial.highest = esi
-            partial.last_first_ns = now_ns
-            if now_ns != partial.first_ns:
-                partial.train_symbols += 1
-        return True
+        partial.last_first_ns = now_ns
+        if now_ns != partial.first_ns:
+            partial.train_symbols += count
 
     def settle(self, now_ns: int) -> None:
         """After a batch: when to ask for more of what is still in pieces."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntFlag
 from functools import cache
@@ -103,6 +104,18 @@ class Sealer:
         self.number += 1
         outer = self.prefix + tail
         return outer + self.encrypt(self.nonce_prefix + tail, inner, outer)
+
+    def seal_all(self, inners: Iterable[bytes]) -> list[bytes]:
+        """Datagrams around inner messages: the loop over a whole frame, so all in locals."""
+        number, prefix, nonce, encrypt = self.number, self.prefix, self.nonce_prefix, self.encrypt
+        sealed = []
+        for inner in inners:
+            tail = number.to_bytes(5, "little")
+            outer = prefix + tail
+            sealed.append(outer + encrypt(nonce + tail, inner, outer))
+            number += 1
+        self.number = number
+        return sealed
 
 
 class Opener:

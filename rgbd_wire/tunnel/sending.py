@@ -19,7 +19,7 @@ MAX_KEPT_BYTES = 3 * MAX_MESSAGE_BYTES
 COPY_AFTER_NS = 3_000_000
 """A second copy of a small message leaves so much later: past most bursts of losses."""
 LOSSY_FOR_NS = 10_000_000_000
-MAX_BATCH = 54
+MAX_BATCH = 27
 """Datagrams sealed at a time: while the next ones are sealed, the other end opens these."""
 SHORT_WAY_NS = 1_500_000
 """Round trip under which parity waits for the report that makes it needless."""
@@ -116,7 +116,7 @@ class Sending:
             shards = outgoing.take(count)
             if not outgoing.data_left and 0 < self.srtt_ns < SHORT_WAY_NS:
                 outgoing.parity_ns = outgoing.parity_ns or now_ns + 2 * self.srtt_ns + 1_000_000
-            return self._seal_all(shards)
+            return self._sealer.seal_all(shards)
         return []
 
     def urgent(self, message: bytes, budget_ns: int, now_ns: int) -> list[bytes]:
@@ -128,14 +128,16 @@ class Sending:
         elif now_ns < self._lossy_until_ns and len(self._copies) < MAX_COPIES:
             self._copies.append((now_ns + COPY_AFTER_NS, shards[0]))
         self._pacer.spend(len(shards))
-        return self._seal_all(shards)
+        return self._sealer.seal_all(shards)
 
     def copies(self, now_ns: int) -> list[bytes]:
         """Second copies that are due."""
+        if not self._copies:
+            return []
         due: list[bytes] = []
         while self._copies and self._copies[0][0] <= now_ns:
             due.append(self._copies.popleft()[1])
-        return self._seal_all(due)
+        return self._sealer.seal_all(due)
 
     def due_ns(self) -> int | None:
         """When ``burst`` or ``copies`` have something next; None: nothing waits."""
@@ -165,7 +167,7 @@ class Sending:
         self._lossy_until_ns = now_ns + LOSSY_FOR_NS
         shards = outgoing.take_fresh(min(nack.wanted, outgoing.symbols + 8))
         self._pacer.spend(len(shards))
-        return self._seal_all(shards)
+        return self._sealer.seal_all(shards)
 
     def on_report(self, report: Report, now_ns: int) -> None:
         """What the receiver saw of one message."""
@@ -203,21 +205,3 @@ class Sending:
             ):
                 del self._kept[next(iter(self._kept))]
         return outgoing
-
-    def _seal_all(self, inners: list[bytes]) -> list[bytes]:
-        # The loop over all datagrams of a frame: everything in locals, no call but the cipher's
-        sealer = self._sealer
-        number, prefix, nonce, encrypt = (
-            sealer.number,
-            sealer.prefix,
-            sealer.nonce_prefix,
-            sealer.encrypt,
-        )
-        sealed = []
-        for inner in inners:
-            tail = number.to_bytes(5, "little")
-            outer = prefix + tail
-            sealed.append(outer + encrypt(nonce + tail, inner, outer))
-            number += 1
-        sealer.number = number
-        return sealed
