@@ -18,8 +18,8 @@ from link_emulator.lane import NEVER_NS, Lane
 
 PR_SET_TIMERSLACK = 29
 AHEAD_NS = 20_000
-"""So much before its time the loop stops sleeping. More costs processor time and gains nothing: 60 us
-took 0.8 of a core instead of 0.4 at 10 000 packets a second, for the same error at p99 (0.08 ms)."""
+"""So much before its time the loop stops sleeping. 60 us took 0.8 of a core instead of 0.4 at 10
+thousand packets a second, for the same error at p99 (0.08 ms)."""
 TURN = 8
 """Packets that are read or sent before the other side is looked at again."""
 MAX_SLEEP_NS = 1_000_000_000
