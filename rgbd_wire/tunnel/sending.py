@@ -19,7 +19,7 @@ MAX_KEPT_BYTES = 3 * MAX_MESSAGE_BYTES
 COPY_AFTER_NS = 3_000_000
 """A second copy of a small message leaves so much later: past most bursts of losses."""
 LOSSY_FOR_NS = 10_000_000_000
-MAX_BATCH = 27
+MAX_BATCH = 54
 """Datagrams sealed at a time: while the next ones are sealed, the other end opens these."""
 SHORT_WAY_NS = 1_500_000
 """Round trip under which parity waits for the report that makes it needless."""
