@@ -21,7 +21,8 @@ from rgbd_wire.envelope import Kind, seal, unseal
 from rgbd_wire.errors import DecodeError
 from rgbd_wire.frame_codec import decompress, unpack
 from rgbd_wire.geometry import Pose
-from rgbd_wire.messages import decode_ack, decode_result, pose_of
+from rgbd_wire.messages import decode_ack, decode_result, decode_status, pose_of
+from rgbd_wire.probe import decode_probe
 
 VECTORS = Path(__file__).parents[1] / "data" / "wire"
 HEADER_LENGTH = struct.Struct("<I")
@@ -85,8 +86,12 @@ def receive(data: bytes) -> str:
             target = decode_result(body).target
             if target is not None:
                 _check_usable(pose_of(target.camera_from_target))
-        else:
+        elif kind is Kind.ACK:
             decode_ack(body)
+        elif kind is Kind.PROBE:
+            decode_probe(body)
+        else:
+            decode_status(body)
     except DecodeError as error:
         if "\n" in str(error) or len(str(error)) > 20_000:
             raise AssertionError(f"an error of several lines or screens: {error!r}") from error
@@ -105,6 +110,8 @@ def mutant(source: bytes, rng: random.Random) -> bytes:
         return seal(kind, _edited(body, rng))
     if way < 0.55:
         return seal(rng.choice(list(Kind)), body)
+    if kind is Kind.PROBE:
+        return seal(kind, _edited(body, rng, keep_length=True))
     if kind is not Kind.FRAME:
         return seal(kind, _replaced(body, rng))
     (length,) = HEADER_LENGTH.unpack_from(body)

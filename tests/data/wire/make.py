@@ -6,6 +6,7 @@ version changes. The pictures are formulas, so that an implementer needs no othe
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from pathlib import Path
@@ -26,12 +27,15 @@ from rgbd_wire.messages import (
     LevelBox,
     Outcome,
     Result,
+    Status,
     TargetPose,
     pack_covariance,
     pose_numbers,
     seal_ack,
     seal_result,
+    seal_status,
 )
+from rgbd_wire.probe import Probe, seal_probe
 
 HERE = Path(__file__).parent
 WIDTH, HEIGHT = 64, 48
@@ -119,8 +123,11 @@ def arriving_depth(name: str) -> NDArray[np.uint16] | None:
     return np.where(inside | ((u % 2 == 0) & (v % 2 == 0)), units, 0).astype(np.uint16)
 
 
-def messages() -> dict[str, Ack | Result]:
-    """Each ack and result by the name of its file."""
+Small = Ack | Result | Probe | Status
+
+
+def messages() -> dict[str, Small]:
+    """Each message but the frames, by the name of its file."""
     ack = Ack("drone-1", BOOT_ID, 7, "worker-a", WORKER_BOOT_ID)
     target = TargetPose(
         camera_from_target=pose_numbers(CAMERA_FROM_TARGET),
@@ -160,11 +167,49 @@ def messages() -> dict[str, Ack | Result]:
         target=None,
         draining=True,
     )
-    return {"ack": ack, "result_target": found, "result_refused": refused}
+    up = Probe(BOOT_ID, 12, 1_050_000_000)
+    back = dataclasses.replace(
+        up, t2_ns=900_040_000_000, t3_ns=900_040_150_000, worker_boot_id=WORKER_BOOT_ID
+    )
+    status = Status(
+        worker="worker-a",
+        worker_boot_id=WORKER_BOOT_ID,
+        sequence=31,
+        waiting=1,
+        drones=2,
+        max_drones=8,
+        service_p50_ns=29_000_000,
+        service_p95_ns=41_000_000,
+        model=found.model,
+        draining=True,
+    )
+    return {
+        "ack": ack,
+        "probe_up": up,
+        "probe_back": back,
+        "result_target": found,
+        "result_refused": refused,
+        "status": status,
+    }
+
+
+def sealed(message: Small) -> bytes:
+    """The whole message."""
+    match message:
+        case Ack():
+            return seal_ack(message)
+        case Result():
+            return seal_result(message)
+        case Probe():
+            return seal_probe(message)
+        case Status():
+            return seal_status(message)
 
 
 def named(value: Any) -> Any:
     """A message as nested dicts by field name, for people to read."""
+    if isinstance(value, Probe):
+        return dataclasses.asdict(value)
     if isinstance(value, msgspec.Struct):
         return {f: named(getattr(value, f)) for f in value.__struct_fields__}
     if isinstance(value, tuple):
@@ -195,7 +240,7 @@ def main() -> None:
             entry["depth_u16le_sha256"] = hashlib.sha256(little_endian).hexdigest()
         described["messages"][f"{name}.bin"] = entry
     for name, message in messages().items():
-        data = seal_ack(message) if isinstance(message, Ack) else seal_result(message)
+        data = sealed(message)
         (HERE / f"{name}.bin").write_bytes(data)
         described["messages"][f"{name}.bin"] = describe(data, named(message))
     (HERE / "vectors.json").write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")

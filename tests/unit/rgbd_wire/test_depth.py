@@ -141,6 +141,13 @@ def test_a_region_saves_bytes(rng):
     assert quarter < 0.6 * half
 
 
+def test_a_region_that_is_everything_is_one_picture(rng):
+    """Then nothing is coded twice."""
+    picture = rng.integers(0, 2**16, (12, 16), dtype=np.uint16)
+    coded = encode_depth(picture, 0.0, MILLIMETRE, DepthPlan(4, (-3, 0, 16, 99)))
+    assert coded == encode_depth(picture, 0.0, MILLIMETRE)
+
+
 @pytest.mark.parametrize("plan", [{"step": 3}, {"step": 0}, {"range_max_m": 0.0}])
 def test_plans_that_cannot_be(plan):
     """A step that is no step, a range that is none."""
