@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drone_client.goodput import Goodput
 from drone_client.rate_control import LADDER, Choice, RateController, RateSettings, Reason
 
 MS = 1_000_000
@@ -79,6 +80,7 @@ def test_less_goodput_never_gives_a_fatter_rung(goodput, share):
     assert LADDER.index(after.rung) >= LADDER.index(before.rung)
 
 
+@settings(max_examples=40)
 @given(st.floats(1e5, 1e7))
 def test_on_a_steady_link_the_rung_settles(goodput):
     """No oscillation: after the first second the rung changes upwards only, and not for long."""
@@ -88,6 +90,7 @@ def test_on_a_steady_link_the_rung_settles(goodput):
     assert len(set(rungs[200:])) == 1
 
 
+@settings(max_examples=40)
 @given(st.floats(5e5, 5e6), st.integers(0, 10**6))
 def test_a_goodput_that_wavers_does_not_make_the_rung_waver(goodput, seed):
     """Ten per cent up and down around a boundary: at most one step up in ten seconds."""
@@ -99,6 +102,27 @@ def test_a_goodput_that_wavers_does_not_make_the_rung_waver(goodput, seed):
         rungs.append(LADDER.index(choice.rung))
     ups = sum(b < a for a, b in zip(rungs[40:], rungs[41:], strict=False))
     assert ups <= 1
+
+
+@settings(max_examples=40)
+@given(st.lists(st.floats(5e5, 2e7), min_size=2, max_size=4), st.integers(0, 30 * MS))
+def test_over_a_link_whose_rate_changes_the_bound_holds(rates, delay_ns):
+    """With the goodput as it is measured: late for four frames after a fall at most, then within.
+
+    Every rate here carries the leanest rung in time.
+    """
+    control, estimate, free_ns, now_ns = controller(), Goodput(), 0, 0
+    for rate in rates:
+        for n in range(60):
+            choice = control.choose(now_ns, estimate.bytes_per_s)
+            size = weigh(control, choice)
+            t1_ns = max(now_ns, free_ns)
+            free_ns = t1_ns + round(size / rate * 1e9)
+            estimate.acked(size, t1_ns, free_ns + 2 * delay_ns, 2 * delay_ns)
+            now_ns = t1_ns + PERIOD_NS
+            if n >= 4:
+                assert size / rate * 1e9 <= 1.01 * BOUND_NS
+        assert choice.reason is not Reason.TOO_SLOW
 
 
 def test_up_takes_a_second_of_room_to_spare():
