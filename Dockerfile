@@ -32,11 +32,11 @@ COPY drone_client drone_client
 RUN pip install --no-deps --target /opt/aerial-contact/project .
 
 FROM ${BASE_IMAGE}
-# /runs belongs to the user, and so does a new volume that is mounted there.
+# Whoever the container runs as may write to /runs, and to a new volume that is mounted there.
 RUN groupadd --gid 10001 aerial \
     && useradd --uid 10001 --gid 10001 --no-log-init --no-create-home --home-dir /tmp \
     --shell /usr/sbin/nologin aerial \
-    && install --directory --owner=10001 --group=10001 /runs
+    && install --directory --owner=10001 --group=10001 --mode=1777 /runs
 
 COPY --from=packages /opt/aerial-contact/venv /opt/aerial-contact/venv
 COPY --from=project /opt/aerial-contact/project /opt/aerial-contact/project

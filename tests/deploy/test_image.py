@@ -78,6 +78,12 @@ def test_the_image_does_not_run_as_root():
     assert "ENTRYPOINT" not in {name for name, _ in dockerfile()}
 
 
+def test_runs_can_be_written_by_any_user():
+    """The user is chosen by who may read the keys: the folder for the results takes all of them."""
+    (made,) = [rest for name, rest in dockerfile() if name == "RUN" and rest.endswith(" /runs")]
+    assert "--mode=1777" in made
+
+
 def test_the_image_holds_every_package_that_a_role_needs():
     """What is copied exists, passes .dockerignore and covers the packages of both roles."""
     copied = {
