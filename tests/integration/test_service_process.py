@@ -22,9 +22,11 @@ from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.frame_codec import FrameStamp, compress, pack
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import Outcome
+from rgbd_wire.probe import Probe, seal_probe
 from rgbd_wire.streams import worker_key
+from tests.integration.udp_drone import tunnelling
 from tests.integration.zenoh_drone import flying
-from tests.service_process import free_port
+from tests.service_process import free_port, free_udp_port
 from tests.unit.edge_service.edge_fakes import SECOND_NS, message
 
 RECORDING = Path(__file__).parents[2] / "examples" / "recordings" / "rendered-approach"
@@ -32,6 +34,7 @@ FRAMES_WITH_TARGET = (20, 30, 44)
 FRAME_WITHOUT_TARGET = 0
 COMMAND = [sys.executable, "-c", "from edge_service.cli import main; main()", "serve"]
 TIMEOUT_S = 60
+KEY = bytes(range(32))
 
 
 def recorded(index):
@@ -46,9 +49,9 @@ def recorded(index):
     return frame, json.loads((RECORDING / "truth.json").read_text())[index]
 
 
-def sent(frame, sequence):
+def sent(frame, sequence, drone="d1"):
     """The frame as a drone sends it."""
-    return pack(compress(frame), FrameStamp("d1", 7, sequence, 0, 60 * SECOND_NS))
+    return pack(compress(frame), FrameStamp(drone, 7, sequence, 0, 60 * SECOND_NS))
 
 
 def environment():
@@ -60,11 +63,12 @@ def environment():
 class Served:
     """A service process and where to reach it."""
 
-    def __init__(self):
+    def __init__(self, *flags, **variables):
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        own = {"EDGE_ZENOH_LISTEN": self.endpoint, "EDGE_HTTP": "127.0.0.1:0"}
         self.process = subprocess.Popen(
-            [*COMMAND, "--listen", self.endpoint, "--http", "127.0.0.1:0"],
-            env=environment(),
+            [*COMMAND, *flags],
+            env=environment() | own | variables,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -86,8 +90,8 @@ class Served:
 
 
 @contextmanager
-def served():
-    service = Served()
+def served(*flags, **variables):
+    service = Served(*flags, **variables)
     try:
         yield service
     finally:
@@ -140,6 +144,80 @@ def test_it_finds_the_target_and_drains():
         assert Outcome.FAILED not in {r.outcome for r in drone.results}
 
 
+@pytest.fixture
+def keys(tmp_path):
+    """A key file with two drones."""
+    path = tmp_path / "keys"
+    path.write_text(f"d1 {KEY.hex()}\nd2 {KEY.hex()}\n")
+    path.chmod(0o600)
+    return path
+
+
+def drained(service, *drones, logged=""):
+    """End the service, and check that every frame of every drone was acknowledged and answered."""
+    service.process.send_signal(signal.SIGTERM)
+    code, out, err = service.end()
+    assert (code, out[-1]) == (0, "bye")
+    assert err.count("\n") == bool(logged)
+    assert logged in err
+    for drone in drones:
+        assert sorted(r.sequence for r in drone.results) == sorted(drone.acks)
+
+
+def test_drones_on_both_networks_are_served_and_drained(keys):
+    """Zenoh and the tunnel at once: true poses on both, drain told on both, nothing lost, 0."""
+    udp = f"127.0.0.1:{free_udp_port()}"
+    frame, truth = recorded(FRAMES_WITH_TARGET[0])
+    position_m = np.array(truth["camera_from_target"])[:3, 3]
+    with (
+        served("--udp", udp, "--keys", str(keys)) as service,
+        flying(service.endpoint) as by_zenoh,
+        tunnelling(f"udp/{udp}", KEY, name="d2") as by_udp,
+    ):
+        assert any(line.startswith(f"udp    {udp}") for line in service.lines)
+        for drone, name in ((by_zenoh, "d1"), (by_udp, "d2")):
+            drone.send(sent(frame, 0, name))
+            drone.wait_for(lambda d: d.results)
+            found = drone.results[0]
+            assert (found.drone, found.outcome) == (name, Outcome.TARGET)
+            np.testing.assert_allclose(found.target.camera_from_target[:3], position_m, atol=0.03)
+        by_udp.probe(seal_probe(Probe(boot_id=7, sequence=1, t1_ns=5)))
+        by_udp.wait_for(lambda d: d.echoes and d.statuses)
+        echo, status = by_udp.echoes[0], by_udp.statuses[-1]
+        assert echo.worker_boot_id == status.worker_boot_id == by_udp.results[0].worker_boot_id
+        assert echo.t2_ns <= echo.t3_ns
+        # A key is of one drone: it does not speak for another
+        by_udp.send(sent(frame, 1, "d1"))
+        metrics = f"{service.url}/metrics"
+        for _ in range(100):  # it is not answered: each status is a moment to look again
+            text, n = httpx.get(metrics).text, len(by_udp.statuses)
+            if 'reason="wrong_drone"} 1.0' in text:
+                break
+            by_udp.wait_for(lambda d, n=n: len(d.statuses) > n)
+        assert 'edge_rejected_total{reason="wrong_drone"} 1.0' in text
+        assert 'edge_tunnel_refused_total{reason="bad_mac"} 0.0' in text
+        assert "edge_probes_total 1.0" in text
+        for sequence in range(2, 6):
+            for drone, name in ((by_zenoh, "d1"), (by_udp, "d2")):
+                drone.send(message(drone=name, sequence=sequence, budget_ns=60 * SECOND_NS))
+                drone.wait_for(lambda d, n=sequence: d.acks[-1] == n)
+        drained(service, by_zenoh, by_udp, logged="a frame of d1 came from d2")
+        assert by_udp.statuses[-1].draining
+        assert len(by_udp.acks) == len(by_zenoh.acks) == 5
+
+
+def test_the_tunnel_alone(keys):
+    """Without Zenoh: no port of it is opened, and drones are served all the same."""
+    udp = f"127.0.0.1:{free_udp_port()}"
+    variables = {"EDGE_UDP_LISTEN": udp, "EDGE_TUNNEL_KEYS": str(keys), "EDGE_ZENOH_LISTEN": ""}
+    with served(**variables) as service, tunnelling(f"udp/{udp}", KEY) as drone:
+        assert not any(line.startswith("zenoh") for line in service.lines)
+        assert httpx.get(f"{service.url}/readyz").json()["ready"]
+        drone.send(message(budget_ns=60 * SECOND_NS))
+        drone.wait_for(lambda d: d.results)
+        drained(service, drone)
+
+
 def test_a_second_signal_forces_the_end():
     """Whoever presses Ctrl-C twice does not want to wait for the drain."""
     with served() as service:
@@ -170,6 +248,7 @@ def failing(monkeypatch, capsys):
 
     monkeypatch.setenv("EDGE_THREADS", "1")
     monkeypatch.setenv("EDGE_HTTP", "127.0.0.1:0")
+    monkeypatch.setenv("EDGE_ZENOH_LISTEN", f"tcp/127.0.0.1:{free_port()}")
     return run
 
 
@@ -194,6 +273,10 @@ def test_what_cannot_be_loaded_is_one_line(failing, tmp_path):
     assert str(junk) in failing("--weights", str(junk))
     assert str(tmp_path / "none") in failing("--weights", str(tmp_path / "none"))
     assert "packaged: bullseye-400" in failing("--target", "bullseye-999")
+    assert str(tmp_path / "keys") in failing(
+        "--udp", "127.0.0.1:0", "--keys", str(tmp_path / "keys")
+    )
+    assert str(tmp_path / "ca.pem") in failing("--tls", str(tmp_path))
     assert "did you mean EDGE_WEIGHTS?" in failing(EDGE_WEIHGTS="x")
 
 
