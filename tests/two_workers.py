@@ -83,7 +83,7 @@ class Flying:
         command = [client, "replay", long_recording(folder / "recording"), "--out", self.out]
         command += ["--connect", pair.connect, "--key-file", pair.keys, "--no-plot", *options]
         self.process = subprocess.Popen(
-            [str(c) for c in command], env=os.environ | {"OMP_NUM_THREADS": "1"}
+            [str(c) for c in command], env=os.environ | {"DRONE_REPLY_TIMEOUT_MS": "4000"}
         )
 
     def wait_for_accepted(self, count: int, worker: str | None = None) -> str:

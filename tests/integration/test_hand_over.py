@@ -13,7 +13,7 @@ from tests.two_workers import INTERRUPTED, Flying, Pair
 FAULTS = {"killed": signal.SIGKILL, "hung": signal.SIGSTOP, "drained": signal.SIGTERM}
 ENOUGH = 12
 """Accepted results before the fault, and again after it."""
-PATIENT = ("--tau-max-ms", "600", "--age-max-ms", "800", "--reply-timeout-ms", "4000")
+PATIENT = ("--tau-max-ms", "600", "--age-max-ms", "800")
 """Two workers and a drone on two busy cores."""
 
 
