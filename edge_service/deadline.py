@@ -71,12 +71,21 @@ class Deadline:
         self._lock = threading.Lock()
         self._tried_ns: int | None = None
 
-    def rule(self, waited_ns: int, budget_ns: int, now_ns: int) -> tuple[Ruling, Prospect]:
-        """What is to become of a frame, and where it stands at ``now_ns``, worker's clock."""
+    def rule(
+        self, waited_ns: int, budget_ns: int, now_ns: int, *, is_try: bool = False
+    ) -> tuple[Ruling, Prospect]:
+        """What is to become of a frame, and where it stands.
+
+        Args:
+            waited_ns: since it came in.
+            budget_ns: as its header says.
+            now_ns: worker's clock.
+            is_try: it has been ruled to be one before.
+        """
         prospect = Prospect(waited_ns, self._times.expected_ns(now_ns), budget_ns)
         if prospect.makes_it:
             return Ruling.SERVE, prospect
-        if prospect.is_over or not self._may_try(now_ns):
+        if prospect.is_over or not (is_try or self._may_try(now_ns)):
             return Ruling.DROP, prospect
         return Ruling.TRY, prospect
 

@@ -89,9 +89,13 @@ class Worker:
     def _drop(self, arrival: Arrival) -> bool:
         """Whether a frame is of no use any more; then it is answered."""
         now_ns = self._clock.now_ns()
-        waited_ns = now_ns - arrival.t2_ns
-        ruling, prospect = self._deadline.rule(waited_ns, arrival.packed.header.budget_ns, now_ns)
-        if ruling is not Ruling.DROP or (arrival.is_try and not prospect.is_over):
+        ruling, prospect = self._deadline.rule(
+            now_ns - arrival.t2_ns,
+            arrival.packed.header.budget_ns,
+            now_ns,
+            is_try=arrival.is_try,
+        )
+        if ruling is not Ruling.DROP:
             return False
         self._metrics.dropped.labels("worker").inc()
         self._answer(arrival, prospect.dropped())

@@ -16,9 +16,9 @@ from edge_service.state import ServiceState
 DESCRIPTION = """
 Finds a printed target in an RGB-D picture and says where it is, with a covariance.
 
-Drones send their frames over Zenoh and never come here. This side is for people and for clusters:
-try a picture (`POST /v1/localize`), see what the model is (`GET /v1/model`), watch the service
-(`GET /metrics`, `/livez`, `/readyz`).
+Drones send their frames over Zenoh or a UDP tunnel and never come here. This side is for people
+and for clusters: try a picture (`POST /v1/localize`), see what the model is (`GET /v1/model`),
+watch the service (`GET /metrics`, `/livez`, `/readyz`).
 """
 
 

@@ -48,7 +48,7 @@ def health_routes(state: ServiceState) -> APIRouter:
         responses={200: {"content": {"text/plain": {"example": examples.METRICS}}}},
     )
     async def metrics() -> Response:
-        """Frames by outcome, refusals by reason, time of each stage, drones, waiting frames."""
+        """Frames by outcome, refusals and drops by reason, stage times, drones, what waits."""
         return Response(state.metrics_text(), media_type=CONTENT_TYPE_LATEST)
 
     return router

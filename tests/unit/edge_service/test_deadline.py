@@ -60,6 +60,15 @@ def test_tries_are_rare(steps_ns):
     assert all(b - a >= TRY_EVERY_NS for a, b in zip(tried_ns, tried_ns[1:], strict=False))
 
 
+def test_a_try_stays_one():
+    """What was let in to be tried is served when its turn comes, unless its budget is spent."""
+    deadline = Deadline(expecting(50))
+    assert deadline.rule(0, 40, 0)[0] is Ruling.TRY
+    assert deadline.rule(5, 40, 5, is_try=True)[0] is Ruling.TRY
+    assert deadline.rule(5, 40, 5)[0] is Ruling.DROP
+    assert deadline.rule(41, 40, 41, is_try=True)[0] is Ruling.DROP
+
+
 @given(
     st.lists(st.integers(101 * MS, 10_000 * MS), max_size=WINDOW),
     st.integers(1, 60),
