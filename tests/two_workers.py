@@ -87,11 +87,16 @@ class Flying:
         )
 
     def wait_for_accepted(self, count: int, worker: str | None = None) -> str:
-        """Wait for so many accepted results; the worker of the newest one."""
+        """Wait for so many more accepted results, of one worker or of any.
+
+        Returns:
+            The worker of the newest one.
+        """
         give_up = time.monotonic() + GIVE_UP_S
+        had = len(self._accepted_from())
         while time.monotonic() < give_up:
             workers = self._accepted_from()
-            if sum(worker in (None, w) for w in workers) >= count:
+            if sum(worker in (None, w) for w in workers[had:]) >= count:
                 return workers[-1]
             assert self.process.poll() is None, "the drone has landed early"
             time.sleep(0.01)
