@@ -139,7 +139,7 @@ def test_a_detector_that_stands_still_lets_nothing_queue_up():
     """Of 200 frames behind one that hangs, each is acknowledged at once, and the newest remains."""
     detector = HeldDetector()
     n = 200
-    with running(detector) as service, flying(service.endpoint) as drone:
+    with running(detector, max_rate_hz=1000) as service, flying(service.endpoint) as drone:
         drone.send(frame(0))
         assert detector.entered.acquire(timeout=20)
         for sequence in range(1, n + 1):
