@@ -142,7 +142,7 @@ def test_time_outs_stay_within_their_limits():
 def test_an_overtaken_probe_is_no_silence():
     """The echo of a later one came: the way is open, whatever became of the earlier."""
     prober = Prober(BOOT_ID)
-    sent = [probe for _, _, probe in run(prober, 0, 3 * PERIOD_NS, ["w"], rtt_ns=None)]
+    sent = [prober.due(i * PERIOD_NS, ["w"])[0][1] for i in range(3)]
     assert prober.echo(answer(sent[2]), sent[2].t1_ns + 10 * MS) == "w"
     assert prober.missed("w", S) == 0
     assert prober.echo(answer(sent[0]), sent[2].t1_ns + 11 * MS) == "w"
