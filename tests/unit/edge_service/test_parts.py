@@ -1,0 +1,72 @@
+"""The links that the settings ask for, opened for real on the loopback."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge_service.parts import make_links
+from edge_service.transport.several import SeveralTransports
+from edge_service.transport.udp import UdpTransport
+from edge_service.transport.zenoh import ZenohTransport
+from rgbd_wire.clock import MonotonicClock
+from rgbd_wire.errors import TlsFilesError
+from rgbd_wire.tunnel.errors import KeyFileError
+from tests.certificates import make_ends
+from tests.service_process import free_port
+from tests.unit.edge_service.edge_fakes import settings
+
+
+@pytest.fixture
+def keys(tmp_path):
+    """A key file with one drone."""
+    path = tmp_path / "keys"
+    path.write_text(f"d1 {bytes(range(32)).hex()}\n")
+    path.chmod(0o600)
+    return path
+
+
+def links(**fields):
+    return make_links(settings(**fields), MonotonicClock())
+
+
+def test_zenoh_alone_is_the_default():
+    """One transport needs nothing around it."""
+    made = links()
+    assert isinstance(made.transport, ZenohTransport)
+    assert made.tunnel is None
+    assert made.lines == ("zenoh  tcp/0.0.0.0:7447",)
+    assert links(zenoh_connect="tcp/router:1").lines == ("zenoh  joins tcp/router:1",)
+
+
+def test_the_tunnel_alone(keys):
+    """An empty list of endpoints is no Zenoh."""
+    made = links(zenoh_listen="", udp_listen="127.0.0.1:0", tunnel_keys=keys)
+    assert isinstance(made.transport, UdpTransport)
+    assert made.transport is made.tunnel
+    assert made.lines == (f"udp    127.0.0.1:0, keys in {keys}",)
+
+
+def test_both_over_tls_open_and_close(keys, tmp_path):
+    """The whole of it: certificates, keys, one transport made of two."""
+    made = links(
+        zenoh_listen=f"tls/127.0.0.1:{free_port()}",
+        zenoh_tls=make_ends(tmp_path / "ends") / "worker-a",
+        zenoh_drones="drone-1,drone-2",
+        udp_listen="[::1]:0",
+        tunnel_keys=keys,
+    )
+    assert isinstance(made.transport, SeveralTransports)
+    assert len(made.lines) == 2
+    made.transport.open()
+    assert made.transport.is_open
+    assert made.tunnel.is_open
+    made.transport.close()
+    assert not made.tunnel.is_open
+
+
+def test_files_that_cannot_be_used_are_told_before_anything_opens(tmp_path):
+    """Certificates and keys are read at the start, and their errors name the file."""
+    with pytest.raises(TlsFilesError, match="ca.pem"):
+        links(zenoh_listen="tls/127.0.0.1:1", zenoh_tls=tmp_path, zenoh_drones="d1")
+    with pytest.raises(KeyFileError, match="none"):
+        links(udp_listen="127.0.0.1:0", tunnel_keys=tmp_path / "none")
