@@ -6,6 +6,8 @@ import json
 import signal
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -22,10 +24,12 @@ from drone_client.airframe import Airframe, load_airframe
 from drone_client.errors import ClientError
 from drone_client.flight import Tally
 from drone_client.ledger import LEDGER_NAME
-from drone_client.link.choose import open_link
+from drone_client.link.choose import link_summary, open_link
 from drone_client.plot import PLOT_NAME
 from drone_client.replay import SUMMARY_NAME, ReplayOptions
 from drone_client.replay import replay as run_replay
+from drone_client.ros.names import Flavour
+from drone_client.ros.publish import open_ros, publish_accepted
 from drone_client.settings import ClientSettings, about, known_name, load_settings
 from drone_client.source.replay import open_recording
 from drone_client.truth import load_truth
@@ -72,6 +76,9 @@ def replay(
         bool | None, typer.Option("--rate-control/--no-rate-control", help=about("rate_control"))
     ] = None,
     hedge: Annotated[bool | None, typer.Option("--hedge/--no-hedge", help=about("hedge"))] = None,
+    ros_topic: Annotated[str | None, typer.Option(help=about("ros_topic"))] = None,
+    ros_connect: Annotated[str | None, typer.Option(help=about("ros_connect"))] = None,
+    ros_flavour: Annotated[Flavour | None, typer.Option(help=about("ros_flavour"))] = None,
     airframe: Annotated[
         Path | None, typer.Option(help="TOML with body_from_camera and body_from_tip")
     ] = None,
@@ -112,6 +119,9 @@ def replay(
         tls=tls,
         rate_control=rate_control,
         hedge=hedge,
+        ros_topic=ros_topic,
+        ros_connect=ros_connect,
+        ros_flavour=ros_flavour,
     )
     source = open_recording(folder, camera)
     body = Airframe() if airframe is None else load_airframe(airframe)
@@ -128,11 +138,24 @@ def replay(
             counts = f"{accepted} accepted, {refused} refused, {tally.outcomes['target']} targets"
             progress.update(task, completed=done, description=title, counts=counts)
 
-        link = open_link(settings, clock)
-        try:
-            summary = run_replay(source, body, settings, options, link, clock, on_progress)
-        finally:
-            link.close()
+        with ExitStack() as stack:
+            link = open_link(settings, clock)
+            stack.callback(link.close)
+            for warning in link_summary(link).get("warnings", ()):
+                _errors.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
+            ros = open_ros(settings, clock)
+            if ros is not None:
+                stack.callback(ros.close)
+            summary = run_replay(
+                source,
+                body,
+                settings,
+                options,
+                link,
+                clock,
+                on_progress,
+                (lambda reception: None) if ros is None else partial(publish_accepted, ros),
+            )
     if as_json:
         print(json.dumps(summary, indent=2))
     else:
@@ -247,6 +270,7 @@ def _print_summary(summary: dict[str, Any], options: ReplayOptions) -> None:
         "outcomes": counts("outcomes"),
         "workers": counts("workers"),
         "target": counts("updates"),
+        "encodings": counts("encodings"),
         "d1 + d2 [ms]": f"{times('network_delay_ms')}  (tau_max {summary['tau_max_ms']:g})",
         "age [ms]": f"{times('age_ms')}  (age_max {summary['age_max_ms']:g})",
         "service [ms]": times("service_ms"),
@@ -263,6 +287,17 @@ def _print_summary(summary: dict[str, Any], options: ReplayOptions) -> None:
         )
     if summary["rejected_messages"]:
         rows["bad messages"] = counts("rejected_messages")
+    if summary["hand_overs"]:
+        rows["hand-overs"] = (
+            f"{summary['hand_overs']}; suspicions: {counts('suspicions')}; "
+            f"second copies: {counts('copies')}"
+        )
+    if (d1 := summary["d1_ms"]) is not None:
+        rows["d1, d2 apart [ms]"] = (
+            f"p50 {d1['p50']:.1f}, {summary['d2_ms']['p50']:.1f}, each within "
+            f"{summary['one_way_bound_ms']['p50']:.1f} (to look at; the gate never asks)"
+        )
+    rows |= _link_rows(summary["link"])
     rows |= _warnings(summary)
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, value in rows.items():
@@ -272,6 +307,18 @@ def _print_summary(summary: dict[str, Any], options: ReplayOptions) -> None:
     files = [LEDGER_NAME, SUMMARY_NAME, *([PLOT_NAME] if options.plot else [])]
     written = ", ".join(str(options.out / f) for f in files)
     console.print(f"written: {written}", markup=False, soft_wrap=True)
+
+
+def _link_rows(link: dict[str, Any]) -> dict[str, str]:
+    """What the tunnel knows of each worker's way."""
+    return {
+        f"tunnel to {worker}": (
+            f"{state['goodput_mbps']:.1f} Mbit/s, round trip {state['round_trip_ms']:.1f} ms, "
+            f"loss {state['loss']:.1%}, parity {state['parity']:.0%}"
+        )
+        for worker, state in link.get("workers", {}).items()
+        if state is not None
+    }
 
 
 def _warnings(summary: dict[str, Any]) -> dict[str, str]:

@@ -148,6 +148,7 @@ def judge(
         last_accepted_capture_ns: t_capture of the newest accepted result, drone's clock.
         settings: tau_max and age_max.
         looked_at: the worker has seen the picture, whatever it found.
+        other_copy_accepted: another worker's answer to the same frame was accepted.
     """
     if sent is None:
         return Judgement(Verdict.NEVER_SENT)

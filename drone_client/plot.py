@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ def plot_run(
     path: Path,
     frames: Sequence[dict[str, Any]],
     ticks: Sequence[dict[str, Any]],
+    events: Sequence[dict[str, Any]],
     tau_max_ms: float,
     age_max_ms: float,
 ) -> None:
@@ -37,9 +38,9 @@ def plot_run(
     def seconds(t_ns: int) -> float:
         return (t_ns - start_ns) / 1e9
 
-    figure = Figure(figsize=(11, 10), layout="constrained")
+    figure = Figure(figsize=(11, 12), layout="constrained")
     FigureCanvasAgg(figure)
-    delays, barrier, tip, commands = figure.subplots(4, 1, sharex=True)
+    delays, sizes, barrier, tip, commands = figure.subplots(5, 1, sharex=True)
 
     ignored = Verdict.NOT_LOOKED_AT.value
     answered = [f for f in frames if f["fate"] == "answered" and f["age_ms"] is not None]
@@ -82,6 +83,9 @@ def plot_run(
     delays.set_ylim(bottom=-0.05 * age_max_ms)
     delays.legend(fontsize=7, ncols=4, loc="best")
 
+    _plot_sizes(sizes, frames, seconds)
+    _mark_hand_overs((delays, sizes, barrier), events, seconds)
+
     times = [seconds(t["t_ns"]) for t in ticks]
 
     def column(name: str, index: int | None = None) -> list[float]:
@@ -109,9 +113,55 @@ def plot_run(
         commands.set_xlim(left=-0.2)
     commands.set_xlabel("s")
     commands.legend(fontsize=7, loc="best")
-    for axes in (delays, barrier, tip, commands):
+    for axes in (delays, sizes, barrier, tip, commands):
         axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
+
+
+def _plot_sizes(
+    axes: Any, frames: Sequence[dict[str, Any]], seconds: Callable[[int], float]
+) -> None:
+    """What each frame weighed, by its encoding, beside what the link was thought to carry."""
+    sent = [f for f in frames if f["encoding"] is not None]
+    for rung in dict.fromkeys(f["encoding"]["rung"] for f in sent):
+        mine = [f for f in sent if f["encoding"]["rung"] == rung]
+        times = [seconds(f["t1_ns"]) for f in mine]
+        axes.plot(times, [f["bytes"] / 1e3 for f in mine], ".", ms=5, label=rung)
+    known = [f for f in sent if f["encoding"]["goodput_mbps"] is not None]
+    if known:
+        right = axes.twinx()
+        goodput = [f["encoding"]["goodput_mbps"] for f in known]
+        right.plot([seconds(f["t1_ns"]) for f in known], goodput, color="tab:gray", lw=1)
+        right.set_ylabel("goodput, Mbit/s", color="tab:gray")
+        right.set_yscale("log")
+    axes.set_title("what a frame weighed, by its encoding", fontsize=9, loc="left")
+    axes.set_ylabel("kB")
+    axes.set_ylim(bottom=0)
+    if sent:
+        axes.legend(fontsize=7, loc="best")
+
+
+def _mark_hand_overs(
+    panels: Sequence[Any], events: Sequence[dict[str, Any]], seconds: Callable[[int], float]
+) -> None:
+    """A line where the drone went to another worker, with its name in the first panel."""
+    for event in events:
+        if event["event"] != "worker" or event["before"] is None:
+            continue
+        at = seconds(event["t_ns"])
+        for axes in panels:
+            axes.axvline(at, color="tab:purple", ls=":", lw=1)
+        name = event["now"] or "nobody"
+        panels[0].annotate(
+            f"to {name}",
+            (at, 1.0),
+            xycoords=("data", "axes fraction"),
+            rotation=90,
+            va="top",
+            ha="right",
+            fontsize=7,
+            color="tab:purple",
+        )
 
 
 def _shade(axes: Any, times: Sequence[float], phases: Sequence[str | None]) -> None:

@@ -17,7 +17,14 @@ from drone_client.airframe import Airframe
 from drone_client.gate import GateSettings, Judgement, ResultStamps, SentFrame, Verdict
 from drone_client.pose_buffer import PoseBuffer
 from drone_client.sent_frames import SentFrames
-from drone_client.target import MAX_VARIANCE, TargetEstimate, Update, measure, update
+from drone_client.target import (
+    MAX_VARIANCE,
+    TargetEstimate,
+    TargetMeasurement,
+    Update,
+    measure,
+    update,
+)
 from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.errors import DecodeError, Reject
 from rgbd_wire.geometry import Pose
@@ -48,10 +55,15 @@ class Reception:
     judgement: Judgement
     update: Update | None
     """None: the gate refused it, or it has no target."""
-    world_from_target: Pose | None
-    """The measurement in the world, as composed on board."""
+    measurement: TargetMeasurement | None
+    """In the world, as composed on board; None: no target, or the drone knew no pose."""
     pending: frozenset[str] = frozenset()
     """Workers that have a copy of the frame and have not answered it yet."""
+
+    @property
+    def world_from_target(self) -> Pose | None:
+        """Of the measurement."""
+        return None if self.measurement is None else self.measurement.world_from_target
 
     @property
     def settles(self) -> bool:
@@ -180,14 +192,16 @@ class Receiver:
                 looked_at=result.outcome.looked_at,
             )
             pending = self._sent.unanswered(result.sequence)
-            done, world_from_target = None, None
+            done, measurement = None, None
             if judgement.accepted and result.target is not None:
-                done, world_from_target = self._fuse(result.target, result.t_capture_ns)
+                done, measurement = self._fuse(result.target, result.t_capture_ns)
         if judgement.verdict not in _MADE_UP:
             self._on_heard(result.sequence, result.worker, t4_ns)
-        self._on_result(Reception(result, t4_ns, judgement, done, world_from_target, pending))
+        self._on_result(Reception(result, t4_ns, judgement, done, measurement, pending))
 
-    def _fuse(self, target: TargetPose, t_capture_ns: int) -> tuple[Update, Pose | None]:
+    def _fuse(
+        self, target: TargetPose, t_capture_ns: int
+    ) -> tuple[Update, TargetMeasurement | None]:
         world_from_body = self._poses.at(t_capture_ns)
         if world_from_body is None:
             return Update.NO_POSE, None
@@ -198,8 +212,8 @@ class Receiver:
             t_capture_ns,
         )
         if target.ambiguous:
-            return Update.AMBIGUOUS, measurement.world_from_target
+            return Update.AMBIGUOUS, measurement
         if np.trace(measurement.covariance) > MAX_VARIANCE:
-            return Update.TOO_UNSURE, measurement.world_from_target
+            return Update.TOO_UNSURE, measurement
         self._estimate, done = update(self._estimate, measurement)
-        return done, measurement.world_from_target
+        return done, measurement

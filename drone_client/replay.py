@@ -17,11 +17,13 @@ from drone_client.cbf.settings import FilterSettings
 from drone_client.control import ControlSettings
 from drone_client.errors import LinkError
 from drone_client.flight import Flight, FlightSettings, Tally
-from drone_client.ledger import LEDGER_NAME, TICKS_NAME, Ledger
+from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME, Ledger
 from drone_client.link import Link
+from drone_client.link.choose import link_summary
 from drone_client.playback import Lockstep, Playback, RealTime
 from drone_client.plot import PLOT_NAME, plot_run
 from drone_client.rate_control import RateSettings
+from drone_client.reception import Reception
 from drone_client.settings import NS_PER_MS, ClientSettings
 from drone_client.source import RgbdSource
 from drone_client.summary import read_lines, summarise
@@ -95,6 +97,7 @@ def replay(
     link: Link,
     clock: Clock,
     on_progress: Callable[[int, Tally], None],
+    on_accepted: Callable[[Reception], None] = lambda reception: None,
 ) -> dict[str, Any]:
     """Fly a recording; returns the summary, which is also written beside ledger and plot.
 
@@ -119,6 +122,7 @@ def replay(
         clock,
         ledger,
         playback.world_from_body,
+        on_accepted,
     )
     interrupted = False
     try:
@@ -140,9 +144,12 @@ def replay(
         interrupted = True
     finally:
         stop.set()
+        link_at_end = link_summary(link)  # before it is closed, and knows nobody any more
+        standings = flight.uplink.standings()
         flight.stop()
     frames = read_lines(options.out / LEDGER_NAME)
     ticks = read_lines(options.out / TICKS_NAME)
+    events = read_lines(options.out / EVENTS_NAME)
     summary = {
         "drone": settings.name,
         "connect": settings.connect,
@@ -150,7 +157,9 @@ def replay(
         "age_max_ms": settings.age_max_ms,
         "as_fast_as_possible": options.as_fast_as_possible,
         "interrupted": interrupted,
-        **summarise(frames, ticks, options.truth),
+        **summarise(frames, ticks, events, options.truth),
+        "standings": standings,
+        "link": link_at_end,
         "rejected_messages": {r.value: n for r, n in flight.receiver.rejects.items()},
         "foreign_messages": flight.receiver.foreign,
         "late_results": flight.tally.late_results,
@@ -158,7 +167,7 @@ def replay(
         "lost_ledger_lines": ledger.lost_lines,
         "unwritten": [],
     }
-    _write(summary, frames, ticks, options)
+    _write(summary, frames, ticks, events, options)
     return summary
 
 
@@ -166,6 +175,7 @@ def _write(
     summary: dict[str, Any],
     frames: list[dict[str, Any]],
     ticks: list[dict[str, Any]],
+    events: list[dict[str, Any]],
     options: ReplayOptions,
 ) -> None:
     """Write summary and plot; a full disk is told in the summary itself, which is still shown."""
@@ -178,6 +188,6 @@ def _write(
         return
     try:
         path = options.out / PLOT_NAME
-        plot_run(path, frames, ticks, summary["tau_max_ms"], summary["age_max_ms"])
+        plot_run(path, frames, ticks, events, summary["tau_max_ms"], summary["age_max_ms"])
     except OSError as error:
         summary["unwritten"].append(f"{options.out / PLOT_NAME}: {error.strerror}")

@@ -12,6 +12,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drone_client.errors import ClientError
 from drone_client.gate import GateSettings
+from drone_client.ros.names import Flavour
 from rgbd_wire.color import DEFAULT_JPEG_QUALITY
 from rgbd_wire.streams import FRAME, RESULT
 
@@ -66,6 +67,17 @@ class ClientSettings(BaseSettings):
     hedge: bool = Field(
         False,
         description="send a second copy of a frame whose answer is late to another worker",
+    )
+    ros_topic: str | None = Field(
+        None, max_length=200, description="publish accepted poses to ROS 2 under this topic"
+    )
+    ros_connect: str = Field(
+        "tcp/127.0.0.1:7447",
+        max_length=1000,
+        description="Zenoh bridge or router of ROS 2, separated by commas",
+    )
+    ros_flavour: Flavour = Field(
+        Flavour.BRIDGE, description="bridge: zenoh-bridge-ros2dds; rmw_zenoh: nodes that speak it"
     )
     control_hz: float = Field(50.0, ge=1, le=500, description="rate of the control loop [Hz]")
     wait_for_worker_s: float = Field(

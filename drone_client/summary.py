@@ -31,18 +31,23 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
 
 
 def summarise(
-    frames: Sequence[dict[str, Any]], ticks: Sequence[dict[str, Any]], truth: Sequence[TruthEntry]
+    frames: Sequence[dict[str, Any]],
+    ticks: Sequence[dict[str, Any]],
+    events: Sequence[dict[str, Any]],
+    truth: Sequence[TruthEntry],
 ) -> dict[str, Any]:
     """Summary of a ledger.
 
     Args:
         frames: lines of ``ledger.jsonl``.
         ticks: lines of ``ticks.jsonl``.
+        events: lines of ``events.jsonl``.
         truth: per capture; empty where nobody knows.
     """
     answered = [f for f in frames if f["fate"] == "answered"]
     accepted = [f for f in answered if f["verdict"] == Verdict.ACCEPTED.value]
     targets = [f for f in accepted if f["outcome"] == Outcome.TARGET.value]
+    coded = [f["encoding"] for f in frames if f["encoding"] is not None]
     sent = [f["bytes"] for f in frames if f["bytes"] is not None]
     summary: dict[str, Any] = {
         "frames": len(frames),
@@ -53,9 +58,17 @@ def summarise(
         "updates": _counts(f["update"] for f in targets),
         "methods": _counts(f["method"] for f in targets),
         "workers": _counts(f["worker"] for f in answered),
+        "hand_overs": sum(e["event"] == "worker" and e["before"] is not None for e in events),
+        "suspicions": _counts(e["why"] for e in events if e["event"] == "suspect"),
+        "copies": _counts(e["why"] for e in events if e["event"] == "copy"),
+        "encodings": _counts(e["rung"] for e in coded),
+        "encoding_reasons": _counts(e["reason"] for e in coded),
         "accepted": len(accepted),
         "accepted_poses": len(targets),
         "network_delay_ms": spread([f["network_delay_ms"] for f in accepted]),
+        "d1_ms": spread([f["d1_ms"] for f in accepted]),
+        "d2_ms": spread([f["d2_ms"] for f in accepted]),
+        "one_way_bound_ms": spread([f["one_way_bound_ms"] for f in accepted]),
         "age_ms": spread([f["age_ms"] for f in accepted]),
         "service_ms": spread(
             [f["service_ms"] for f in answered if f["network_delay_ms"] is not None]

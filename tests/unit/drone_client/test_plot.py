@@ -12,9 +12,11 @@ GOLD = (np.array(to_rgb("gold")) * 0.25 + 0.75) * 255  # shaded at a quarter ove
 
 def frame_line(i, fate="answered", **more):
     """A ledger line, 50 ms after the one before."""
-    line = {"fate": fate, "t_capture_ns": i * 50 * MS}
+    line = {"fate": fate, "t_capture_ns": i * 50 * MS, "encoding": None}
     if fate == "answered":
         line |= {"verdict": "accepted", "network_delay_ms": 20.0, "age_ms": 60.0}
+        line |= {"t1_ns": i * 50 * MS, "bytes": 60_000}
+        line |= {"encoding": {"rung": "full", "goodput_mbps": None if i == 0 else 40.0}}
     return line | more
 
 
@@ -31,9 +33,9 @@ def tick_line(i, freshness="fresh", **more):
     } | more
 
 
-def drawn(path, frames, ticks) -> np.ndarray:
+def drawn(path, frames, ticks, events=()) -> np.ndarray:
     """The picture as it can be read again."""
-    plot_run(path, frames, ticks, tau_max_ms=250, age_max_ms=300)
+    plot_run(path, frames, ticks, events, tau_max_ms=250, age_max_ms=300)
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
     assert picture is not None
     return picture
@@ -83,3 +85,14 @@ def test_lines_without_numbers_are_drawn_around(tmp_path):
 def test_an_empty_run_has_a_picture_too(tmp_path):
     """Interrupted before the first frame."""
     assert drawn(tmp_path / "run.png", [], []).size
+
+
+def test_a_hand_over_is_marked(tmp_path):
+    """Purple where the drone went to another worker, and no purple for its first choice."""
+    purple = np.array(to_rgb("tab:purple")) * 255
+    first = {"event": "worker", "before": None, "now": "w1", "t_ns": 0}
+    change = {"event": "worker", "before": "w1", "now": "w2", "t_ns": 400 * MS}
+    frames, ticks = [frame_line(i) for i in range(20)], [tick_line(i) for i in range(50)]
+    without = share(drawn(tmp_path / "a.png", frames, ticks, [first]), purple)
+    marked = share(drawn(tmp_path / "b.png", frames, ticks, [first, change]), purple)
+    assert marked > without

@@ -11,16 +11,18 @@ import numpy as np
 from drone_client.airframe import Airframe
 from drone_client.autopilot import VelocityCommand
 from drone_client.cbf import Freshness, SafeCommand, Status
+from drone_client.clock_offset import OffsetEstimate
 from drone_client.control import ControlSettings, Decision, Known, decide
 from drone_client.gate import Judgement, Verdict
 from drone_client.reception import Reception
-from drone_client.records import decision_record, reception_record
+from drone_client.records import decision_record, one_way_record, reception_record
 from drone_client.target import TargetEstimate, Update
 from rgbd_wire.messages import Outcome, Result
 from tests.unit.drone_client.builders import MS, pose, target_of
 
 SEEN = pose((0.1, 0.2, 2.0), (0, 1, 0))
 WORLD = pose((5, 6, 7), (0, 0, 1))
+MEASURED = TargetMeasurement(WORLD, np.eye(6), 100 * MS, 2.5)
 RESULT = Result(
     drone="d",
     boot_id=1,
@@ -43,7 +45,7 @@ RESULT = Result(
 def test_an_accepted_target_is_told_with_every_stamp_time_and_sigma():
     """Milliseconds are fractions of the stamps, sigmas the roots of the covariance."""
     judged = Judgement(Verdict.ACCEPTED, 50 * MS, 90 * MS)
-    record = reception_record(Reception(RESULT, 190 * MS, judged, Update.FUSED, WORLD))
+    record = reception_record(Reception(RESULT, 190 * MS, judged, Update.FUSED, MEASURED))
     assert json.loads(json.dumps(record, allow_nan=False)) == record
     assert (record["t2_ns"], record["t3_ns"], record["t4_ns"]) == (5 * MS, 35 * MS, 190 * MS)
     assert (record["network_delay_ms"], record["age_ms"], record["service_ms"]) == (50, 90, 30)
@@ -121,3 +123,14 @@ def test_what_is_no_number_is_null():
         Decision(VelocityCommand(np.zeros(3), 0.0, 0), Known.TARGET, 1, safe, (1.0, 0.0, 0.0))
     )
     assert (record["h_m"], record["h_robust_m"], record["delta_m"]) == (None, None, None)
+
+
+def test_the_two_ways_apart_come_with_their_bound_or_not_at_all():
+    """By hand: the worker's clock is 1 s ahead, 12 ms there, 8 ms back, known to 3 ms."""
+    t1_ns, t2_ns, t3_ns, t4_ns = 110 * MS, 1_122 * MS, 1_152 * MS, 160 * MS
+    result = msgspec.structs.replace(RESULT, t1_ns=t1_ns, t2_ns=t2_ns, t3_ns=t3_ns)
+    estimate = OffsetEstimate(t4_ns, 1_000 * MS, 3 * MS, None, None, 6 * MS, 7 * MS)
+    record = one_way_record(result, t4_ns, estimate)
+    assert (record["d1_ms"], record["d2_ms"]) == (12.0, 8.0)
+    assert 3.0 <= record["one_way_bound_ms"] < 3.1
+    assert set(one_way_record(result, t4_ns, None).values()) == {None}

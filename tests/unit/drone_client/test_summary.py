@@ -21,6 +21,10 @@ def answered(sequence, verdict="accepted", outcome="target", dx_mm=0.0, **more):
         "fate": "answered",
         "worker": "w1",
         "bytes": 1000 + sequence,
+        "encoding": {"rung": "full", "reason": "fits"},
+        "d1_ms": 12.0,
+        "d2_ms": 8.0,
+        "one_way_bound_ms": 5.0,
         "network_delay_ms": 20.0 + sequence,
         "age_ms": 60.0 + sequence,
         "service_ms": 30.0,
@@ -36,7 +40,13 @@ def answered(sequence, verdict="accepted", outcome="target", dx_mm=0.0, **more):
 
 
 def unanswered(sequence, fate, **more):
-    return {"sequence": sequence, "fate": fate, "worker": None, "bytes": None} | more
+    return {
+        "sequence": sequence,
+        "fate": fate,
+        "worker": None,
+        "bytes": None,
+        "encoding": None,
+    } | more
 
 
 FRAMES = [
@@ -49,6 +59,12 @@ FRAMES = [
     unanswered(6, "superseded_on_board"),
     unanswered(7, "no_reply", bytes=500, worker="w1"),
 ]
+EVENTS = [
+    {"event": "worker", "before": None, "now": "w1"},
+    {"event": "suspect", "worker": "w1", "why": "no replies"},
+    {"event": "worker", "before": "w1", "now": "w2"},
+    {"event": "copy", "sequence": 7, "worker": "w2", "why": "hand_over"},
+]
 TICKS = [
     {"known": "no_target"},
     {"known": "target", "freshness": "fresh", "status": "active", "h_m": 0.5},
@@ -59,7 +75,7 @@ TICKS = [
 
 def test_counts_every_frame_once_under_each_heading():
     """Fates of all, verdicts and outcomes of the answered, updates of the accepted targets."""
-    s = summarise(FRAMES, TICKS, ())
+    s = summarise(FRAMES, TICKS, EVENTS, ())
     assert s["frames"] == 8
     assert s["fates"] == {"answered": 6, "superseded_on_board": 1, "no_reply": 1}
     assert s["verdicts"] == {"accepted": 4, "network_delay": 1, "impossible_time": 1}
@@ -73,9 +89,21 @@ def test_counts_every_frame_once_under_each_heading():
     assert "truth" not in s
 
 
+def test_tells_of_the_link():
+    """Hand-overs, suspicions, second copies, encodings, and the two ways apart."""
+    s = summarise(FRAMES, TICKS, EVENTS, ())
+    assert s["hand_overs"] == 1  # the first choice is none
+    assert s["suspicions"] == {"no replies": 1}
+    assert s["copies"] == {"hand_over": 1}
+    assert s["encodings"] == {"full": 6}
+    assert s["encoding_reasons"] == {"fits": 6}
+    assert (s["d1_ms"]["p50"], s["d2_ms"]["p50"]) == (12.0, 8.0)
+    assert s["one_way_bound_ms"]["max"] == 5.0
+
+
 def test_times_are_of_what_was_accepted_and_of_clocks_that_can_be_believed():
     """Delays of refused results would hide how fresh the accepted ones are."""
-    s = summarise(FRAMES, TICKS, ())
+    s = summarise(FRAMES, TICKS, EVENTS, ())
     assert s["network_delay_ms"]["max"] == 25
     assert s["age_ms"]["max"] == 65
     assert s["service_ms"]["max"] == 30
@@ -84,7 +112,7 @@ def test_times_are_of_what_was_accepted_and_of_clocks_that_can_be_believed():
 
 def test_counts_ticks_and_finds_the_smallest_h():
     """Where the filter was asked."""
-    s = summarise(FRAMES, TICKS, ())
+    s = summarise(FRAMES, TICKS, EVENTS, ())
     assert s["ticks"] == 4
     assert s["known"] == {"target": 3, "no_target": 1}
     assert s["freshness"] == {"hold": 2, "fresh": 1}
@@ -95,7 +123,7 @@ def test_counts_ticks_and_finds_the_smallest_h():
 def test_against_truth_only_frames_that_somebody_looked_at_count():
     """Found of those in full view, ghosts of those without it, errors of what was seen."""
     truth = [TruthEntry(TRUE, v) for v in (1.0, 0.95, 0.0, 0.9, 0.5, 1.0, 1.0, 1.0)]
-    t = summarise(FRAMES, TICKS, truth)["truth"]
+    t = summarise(FRAMES, TICKS, EVENTS, truth)["truth"]
     assert t["frames_fully_visible"] == 3  # 0, 1, 3; nobody looked at 5, 6 and 7
     assert t["found_of_these"] == 2
     assert (t["frames_without_target"], t["ghosts_in_these"]) == (1, 1)
@@ -105,7 +133,7 @@ def test_against_truth_only_frames_that_somebody_looked_at_count():
 
 def test_an_empty_run_has_a_summary_that_is_json():
     """A run that was interrupted before its first frame."""
-    s = summarise([], [], ())
+    s = summarise([], [], [], ())
     assert s["frames"] == 0
     assert s["network_delay_ms"] is None
     assert s["h_min_m"] is None
@@ -115,7 +143,7 @@ def test_an_empty_run_has_a_summary_that_is_json():
 def test_a_workers_made_up_reasons_cannot_fill_the_summary():
     """At most 32 of them are told, the most frequent first."""
     frames = [answered(i, outcome="refused", reason=f"reason {i % 50}") for i in range(120)]
-    reasons = summarise(frames, [], ())["reasons"]
+    reasons = summarise(frames, [], [], ())["reasons"]
     assert len(reasons) == 32
     assert set(reasons.values()) == {3, 2}
     assert list(reasons.values())[0] == 3
