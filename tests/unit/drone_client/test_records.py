@@ -16,7 +16,7 @@ from drone_client.control import ControlSettings, Decision, Known, decide
 from drone_client.gate import Judgement, Verdict
 from drone_client.reception import Reception
 from drone_client.records import decision_record, one_way_record, reception_record
-from drone_client.target import TargetEstimate, Update
+from drone_client.target import TargetEstimate, TargetMeasurement, Update
 from rgbd_wire.messages import Outcome, Result
 from tests.unit.drone_client.builders import MS, pose, target_of
 
