@@ -69,12 +69,16 @@ class Pacer:
             self._busy += (min(busy, 2.0) - self._busy) / 8
         self._last_message_ns = now_ns
 
-    def on_report(self, train_bytes: int, train_us: int) -> None:
-        """A train of datagrams arrived in so long; nothing is learnt of one that is too short."""
-        if train_us == 0:
-            sample = 2 * self.rate_bps  # faster than could be measured: probe upwards
-        elif train_bytes < 3 * PACKET_BYTES:
-            return
+    def on_report(self, packets: int, train_bytes: int, train_us: int) -> None:
+        """A train of datagrams arrived.
+
+        Args:
+            packets: how many there were.
+            train_bytes: how much of it came after the first batch.
+            train_us: how long after it the last of it came.
+        """
+        if train_us == 0 or 4 * train_bytes < packets * PACKET_BYTES:
+            sample = 2 * self.rate_bps  # nearly all at once, faster than one can measure: probe
         else:
             sample = min(train_bytes * 8e6 / train_us, 2 * self.rate_bps)
         self._samples.append(sample)

@@ -172,7 +172,7 @@ class Sending:
     def on_report(self, report: Report, now_ns: int) -> None:
         """What the receiver saw of one message."""
         self._parity.on_report(report.received, report.lost)
-        self._pacer.on_report(report.train_bytes, report.train_us)
+        self._pacer.on_report(report.received, report.train_bytes, report.train_us)
         outgoing = self._kept.get(report.message_id)
         if outgoing is not None and report.whole:
             outgoing.drop_rest()

@@ -70,9 +70,9 @@ def test_the_pacer_takes_on_the_rate_of_the_path() -> None:
     pacer = Pacer(0)
     assert pacer.rate_bps == START_BPS
     for _ in range(10):
-        pacer.on_report(100_000, 40_000)
-    pacer.on_report(100_000, 10)
-    pacer.on_report(100_000, 0)
+        pacer.on_report(87, 100_000, 40_000)
+    pacer.on_report(87, 100_000, 10)
+    pacer.on_report(87, 0, 0)
     assert pacer.goodput_bps == 20e6
     assert pacer.rate_bps == 25e6
 
@@ -81,7 +81,7 @@ def test_the_pacer_opens_up_where_nothing_holds_it() -> None:
     """On loopback every train comes in one batch: soon whole frames leave at once."""
     pacer = Pacer(0)
     for _ in range(40):
-        pacer.on_report(60_000, 0)
+        pacer.on_report(52, 1228, 400)
     assert pacer.rate_bps == MAX_BPS
     assert pacer.packets(S) >= 64
 
@@ -106,7 +106,7 @@ def test_a_full_path_is_noticed() -> None:
     for every_ms, crowded in ((43, True), (100, False)):
         pacer = Pacer(0)
         for i in range(40):
-            pacer.on_report(100_000, 40_000)
+            pacer.on_report(87, 100_000, 40_000)
             pacer.on_message(87, i * every_ms * MS)
         assert pacer.crowded == crowded
 
