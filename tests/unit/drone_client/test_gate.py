@@ -225,6 +225,64 @@ def test_memory_is_bounded_and_forgets_the_oldest():
     assert gate.judge(7, GOOD).accepted
 
 
+def copied() -> SentFrames:
+    """Frame 7 went to w1, and 5 ms later to w2; both acknowledged it."""
+    gate = SentFrames(SETTINGS)
+    gate.add(replace(SENT, acknowledged_by=None))
+    gate.add(replace(SENT, worker="w2", t1_ns=SENT.t1_ns + 5 * MS, acknowledged_by=None))
+    assert gate.acknowledge(7, "w1", 42)
+    assert gate.acknowledge(7, "w2", 43)
+    return gate
+
+
+OTHER = replace(GOOD, worker="w2", worker_boot_id=43, t1_ns=GOOD.t1_ns + 5 * MS)
+"""The second worker's answer: it took no longer, and echoes its own copy's t1."""
+
+
+def test_the_first_answer_to_a_frame_wins_and_the_other_is_counted_as_such():
+    """Whichever comes first, and only one of the two is accepted."""
+    for first, second in ((GOOD, OTHER), (OTHER, GOOD)):
+        gate = copied()
+        assert gate.judge(7, first).accepted
+        assert gate.judge(7, second).verdict is Verdict.OTHER_COPY
+        assert gate.judge(7, second).verdict is Verdict.DUPLICATE
+        assert gate.unanswered(7) == frozenset()
+
+
+def test_a_copy_that_was_not_looked_at_leaves_the_other_its_chance():
+    """Dropped by one worker, found by the other."""
+    gate = copied()
+    assert gate.judge(7, GOOD, looked_at=False).verdict is Verdict.NOT_LOOKED_AT
+    assert gate.unanswered(7) == {"w2"}
+    assert gate.judge(7, OTHER).accepted
+
+
+def test_each_copy_is_judged_by_its_own_stamps_and_its_own_worker():
+    """w2 cannot answer with the stamp of the copy that went to w1, nor under w1's boot id."""
+    gate = copied()
+    assert gate.judge(7, replace(OTHER, t1_ns=GOOD.t1_ns)).verdict is Verdict.ECHO_MISMATCH
+    assert gate.judge(7, replace(OTHER, worker_boot_id=42)).verdict is Verdict.WRONG_WORKER
+    assert gate.judge(7, replace(OTHER, worker="w3")).verdict is Verdict.WRONG_WORKER
+    assert gate.judge(7, OTHER).network_delay_ns == 35 * MS
+
+
+@given(durations_ns, durations_ns, durations_ns, st.integers(-HOUR, HOUR), st.booleans())
+def test_copies_are_accepted_or_not_whatever_the_two_workers_clocks_say(
+    d1, service, d2, offset_ns, first_is_w1
+):
+    """The pair of verdicts is the same with the second worker an hour off."""
+
+    def verdicts(second_offset_ns: int) -> list[Verdict]:
+        gate = copied()
+        copy = replace(SENT, worker="w2", t1_ns=SENT.t1_ns + 5 * MS)
+        second = stamps_of(copy, d1, service, d2, second_offset_ns)
+        second = replace(second, worker="w2", worker_boot_id=43)
+        answers = [GOOD, second] if first_is_w1 else [second, GOOD]
+        return [gate.judge(7, answer).verdict for answer in answers]
+
+    assert verdicts(offset_ns) == verdicts(0)
+
+
 @pytest.mark.parametrize(("tau", "age"), [(0, 1), (-1, 5), (10, 9)])
 def test_bounds_that_make_no_sense_are_refused(tau, age):
     """tau_max is positive and lies within age_max."""
