@@ -122,7 +122,7 @@ def _plot_sizes(
     axes: Any, frames: Sequence[dict[str, Any]], seconds: Callable[[int], float]
 ) -> None:
     """What each frame weighed, by its encoding, beside what the link was thought to carry."""
-    sent = [f for f in frames if f["encoding"] is not None]
+    sent = sorted((f for f in frames if f["encoding"] is not None), key=lambda f: f["t1_ns"])
     for rung in dict.fromkeys(f["encoding"]["rung"] for f in sent):
         mine = [f for f in sent if f["encoding"]["rung"] == rung]
         times = [seconds(f["t1_ns"]) for f in mine]
@@ -134,9 +134,12 @@ def _plot_sizes(
         right.plot([seconds(f["t1_ns"]) for f in known], goodput, color="tab:gray", lw=1)
         right.set_ylabel("goodput, Mbit/s", color="tab:gray")
         right.set_yscale("log")
+        right.yaxis.set_major_formatter("{x:g}")
+        right.yaxis.set_minor_formatter("{x:g}")
+        right.tick_params(axis="y", which="both", labelsize=7)
     axes.set_title("what a frame weighed, by its encoding", fontsize=9, loc="left")
     axes.set_ylabel("kB")
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 1.15 * max((f["bytes"] for f in sent), default=1e3) / 1e3)
     if sent:
         axes.legend(fontsize=7, loc="best")
 
