@@ -11,6 +11,12 @@ from enum import Enum, auto
 
 from rgbd_wire.tunnel.bucket import Bucket
 
+FLOODED_NS = 1_000_000_000
+"""For so long after its last message over twice the rate a drone counts as flooding."""
+FLOODING_HZ = 1.0
+"""What is taken of a drone that floods. Fair turns would not do: the worker would never be idle,
+and every frame of the others would wait for one of this drone's to be done."""
+
 
 class Pace(Enum):
     """How a message's drone keeps to its rate."""
@@ -20,6 +26,31 @@ class Pace(Enum):
     """Over its rate: worth a word back."""
     FLOOD = auto()
     """Over twice its rate: not worth a look."""
+
+
+class _Rates:
+    """What one drone has left; not for several threads."""
+
+    __slots__ = ("_accepted", "_flooded_ns", "_flooding", "_told")
+
+    def __init__(self, rate_hz: float, burst: int, now_ns: int) -> None:
+        self._accepted = Bucket(rate_hz, burst, now_ns)
+        self._told = Bucket(rate_hz, burst, now_ns)
+        self._flooding = Bucket(FLOODING_HZ, 1, now_ns)
+        self._flooded_ns: int | None = None
+        """When it last went over twice the rate."""
+
+    def pace(self, now_ns: int) -> Pace:
+        flooded_ns = self._flooded_ns
+        is_flooding = flooded_ns is not None and now_ns - flooded_ns < FLOODED_NS
+        # Counted in any case, so that the end of a flood is no second burst
+        within_rate = self._accepted.take(now_ns)
+        if within_rate and (not is_flooding or self._flooding.take(now_ns)):
+            return Pace.FINE
+        if self._told.take(now_ns):
+            return Pace.TOO_FAST
+        self._flooded_ns = now_ns
+        return Pace.FLOOD
 
 
 class Quotas:
@@ -35,28 +66,21 @@ class Quotas:
         self._rate_hz = rate_hz
         self._burst = max(8, int(rate_hz / 4))
         self._max_drones = max_drones
-        self._buckets: OrderedDict[str, tuple[Bucket, Bucket]] = OrderedDict()
+        self._rates: OrderedDict[str, _Rates] = OrderedDict()  # longest silent first
         self._lock = threading.Lock()
 
     def pace(self, drone: str, now_ns: int) -> Pace:
         """Count one message of a drone that came at ``now_ns``, worker's clock."""
         with self._lock:
-            buckets = self._buckets.get(drone)
-            if buckets is None:
-                buckets = self._bucket(now_ns), self._bucket(now_ns)
-                self._buckets[drone] = buckets
-                if len(self._buckets) > self._max_drones:
-                    self._buckets.popitem(last=False)
+            rates = self._rates.get(drone)
+            if rates is None:
+                rates = self._rates[drone] = _Rates(self._rate_hz, self._burst, now_ns)
+                if len(self._rates) > self._max_drones:
+                    self._rates.popitem(last=False)
             else:
-                self._buckets.move_to_end(drone)
-            accepted, told = buckets
-            if accepted.take(now_ns):
-                return Pace.FINE
-            return Pace.TOO_FAST if told.take(now_ns) else Pace.FLOOD
+                self._rates.move_to_end(drone)
+            return rates.pace(now_ns)
 
     def __len__(self) -> int:
         """How many drones are remembered."""
-        return len(self._buckets)
-
-    def _bucket(self, now_ns: int) -> Bucket:
-        return Bucket(self._rate_hz, self._burst, now_ns)
+        return len(self._rates)

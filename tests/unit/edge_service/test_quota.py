@@ -23,12 +23,29 @@ def test_who_keeps_to_the_rate_is_never_too_fast():
     assert paces(Quotas(60, 4), "a", 60, 20) == {Pace.FINE: 1200}
 
 
-def test_of_a_drone_at_ten_times_the_rate_a_bounded_share_is_looked_at():
-    """The rate is taken, as much again is told, and the rest costs nothing."""
-    told = paces(Quotas(60, 4), "a", 600, 10)
-    assert 600 <= told[Pace.FINE] <= 600 + 15
-    assert 600 <= told[Pace.TOO_FAST] <= 600 + 15
-    assert told[Pace.FLOOD] == 6000 - told[Pace.FINE] - told[Pace.TOO_FAST]
+def test_of_a_drone_that_floods_next_to_nothing_is_taken():
+    """At ten times the rate: what may come at once, then one a second, however long it lasts."""
+    told = paces(Quotas(60, 4), "a", 600, 20)
+    assert 15 + 18 <= told[Pace.FINE] <= 15 + 24
+    assert told[Pace.TOO_FAST] <= 60 * 20 + 15
+    assert told[Pace.FLOOD] == 12_000 - told[Pace.FINE] - told[Pace.TOO_FAST]
+
+
+def test_who_is_a_little_too_fast_is_served_at_the_rate():
+    """Up to twice the rate it is told, and keeps what it may have."""
+    told = paces(Quotas(60, 4), "a", 100, 10)
+    assert 600 <= told[Pace.FINE] <= 615
+    assert told[Pace.FLOOD] == 0
+
+
+def test_after_a_flood_a_drone_is_served_as_before():
+    """A second after it has stopped, with no more at once than anybody else."""
+    quotas = Quotas(60, 4)
+    paces(quotas, "a", 600, 5)
+    start_ns = 5 * SECOND_NS
+    calm = [quotas.pace("a", start_ns + k * SECOND_NS // 50) for k in range(150)]
+    assert calm[:50].count(Pace.FINE) <= 2
+    assert set(calm[51:]) == {Pace.FINE}
 
 
 def test_one_drones_flood_is_not_held_against_another():
