@@ -162,7 +162,7 @@ class Endpoint:
             if self.attempt is None or now_ns - self.attempt.began_ns > REDIAL_APART_NS:
                 self._drop_attempt()
                 self._retry_ns = now_ns
-        fine = line is not None and line.up and line.channel.sealed < RESEAL_AFTER
+        fine = line is not None and line.up and line.channel.packets < RESEAL_AFTER
         if fine and not self._wanted:
             self._drop_attempt()
             return due_ns

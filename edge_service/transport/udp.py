@@ -90,8 +90,9 @@ class UdpTransport:
 
     @property
     def is_open(self) -> bool:
-        """The socket stands."""
-        return self._socket is not None and not self._closed
+        """The socket stands, and once started, its thread runs."""
+        running = self._thread is None or self._thread.is_alive()
+        return self._socket is not None and not self._closed and running
 
     @property
     def port(self) -> int:

@@ -75,9 +75,9 @@ class Channel:
         return self._partials.deadline_ns is not None
 
     @property
-    def sealed(self) -> int:
-        """How many datagrams were sealed with these keys."""
-        return self._sending.sealed
+    def packets(self) -> int:
+        """How many datagrams were sealed with one of these keys, either way."""
+        return max(self._sending.sealed, self.newest_number + 1)
 
     def state(self) -> LinkState:
         """What is known of the way to the other end."""

@@ -395,6 +395,29 @@ def test_addresses_and_keys_that_cannot_be_used_are_named(keys: Path, stage: Any
         UdpLink("drone-1", ("udp/127.0.0.1:1",), b"short", clock)
 
 
+def test_a_name_is_resolved_until_one_of_its_addresses_answers(keys: Path, stage: Any) -> None:
+    """``localhost`` may be ::1 first: the next try takes its next address."""
+    worker = stage(Worker(keys))
+    drone = stage(Drone(worker.port, host="localhost"))
+    drone.up("worker-a")
+    drone.ask(frame(1))
+
+
+def test_keys_are_renewed_in_flight(
+    keys: Path, stage: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After so many datagrams comes another session, and no frame is lost over it."""
+    monkeypatch.setattr("drone_client.link.udp_endpoint.RESEAL_AFTER", 200)
+    worker = stage(Worker(keys))
+    relay = stage(Relay(worker.port, lambda up, datagram: False))
+    drone = stage(Drone(relay.port))
+    drone.up("worker-a")
+    for i in range(20):
+        drone.ask(frame(i))
+    assert len({datagram[1:9] for up, datagram in relay.seen if datagram[0] == UP}) > 2
+    assert drone.changes == [("worker-a",)]
+
+
 def test_nothing_runs_on_after_close(keys: Path) -> None:
     """Closed ends send and hand over nothing, and may be closed again."""
     worker, drone = Worker(keys), Drone(1)

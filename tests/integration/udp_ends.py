@@ -55,10 +55,16 @@ class Worker:
 class Drone:
     """A link that keeps what came."""
 
-    def __init__(self, *ports: int, name: str = "drone-1", key: bytes | None = None) -> None:
+    def __init__(
+        self,
+        *ports: int,
+        name: str = "drone-1",
+        key: bytes | None = None,
+        host: str = "127.0.0.1",
+    ) -> None:
         self.got: list[bytes] = []
         self.changes: list[tuple[str, ...]] = []
-        endpoints = tuple(f"udp/127.0.0.1:{port}" for port in ports)
+        endpoints = tuple(f"udp/{host}:{port}" for port in ports)
         self.link = UdpLink(name, endpoints, key or KEYS[name], MonotonicClock())
         self.link.start(self._on_message, self._on_workers)
 
