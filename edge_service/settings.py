@@ -139,8 +139,8 @@ class EdgeSettings(BaseSettings):
         60.0,
         ge=1,
         le=1000,
-        description="Frames a second [Hz] of one drone that are taken; more are turned away, and at "
-        "over twice as many the drone counts as flooding and has one a second taken.",
+        description="Frames a second [Hz] of one drone that are taken; more are turned away. Over "
+        "twice as many it counts as flooding, and one a second is taken.",
     )
     batch_max: int = Field(
         1,
