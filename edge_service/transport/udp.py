@@ -7,6 +7,7 @@ import os
 import secrets
 import select
 import threading
+import time
 from collections.abc import Mapping, Sequence
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
@@ -42,6 +43,9 @@ INITS_HZ, INITS_BURST = 5000.0, 500
 """Of all addresses together; what is past it is dropped unread, and an honest drone tries again.
 A HELLO needs no bound: its cookie costs a hash to check, and its drone may have few sessions."""
 RESETS_HZ, RESETS_BURST = 100.0, 50
+DATAGRAM_NS = 10_000
+"""Work on a datagram, as a drone's quota counts it: what costs more, such as decoding the largest
+message with losses (0.1 s), is charged as more datagrams."""
 GOODBYE_AGAIN_NS = 100_000_000
 MAX_BATCHES = 32
 """Taken from the socket before the timers are looked at again."""
@@ -250,9 +254,12 @@ class UdpTransport:
             return
         channel = session.channel
         newest, count = channel.newest_number, channel.received
+        began_ns = time.thread_time_ns()
         messages = channel.receive(data, segment, now_ns)
         # Only what is authentic counts: who knows a session's id cannot use its drone's quota up
-        quota.datagrams.spend(channel.received - count)
+        if authentic := channel.received - count:
+            spent_ns = time.thread_time_ns() - began_ns
+            quota.datagrams.spend(max(authentic, spent_ns // DATAGRAM_NS))
         if channel.newest_number > newest:
             session.address = address
             self._sessions.heard(session)
