@@ -174,14 +174,19 @@ def test_rmw_zenoh_gets_its_keys_attachments_and_tokens(start, endpoint):
 def test_sequences_count_up_one_by_one_on_each_topic(start, endpoint):
     """rmw_zenoh tells from them what was lost."""
     router = start(Session, endpoint)
-    router.subscribe(f"0/drone_1/target_pose/{POSE_STAMPED.dds_name}/*")
+    router.subscribe("0/drone_1/**")
     poses = start(poses_to, endpoint, flavour=Flavour.RMW_ZENOH)
-    assert eventually(lambda: poses.connected, timeout_s=20)
-    for _ in range(20):
+    publish_until_heard(poses, router)
+    while poses.published < 30:
         poses.publish(POSE, COVARIANCE, T_CAPTURE_NS)
-    attached = [router.take().attachment for _ in range(20)]
-    sequences = [z_deserialize(tuple[Int64, Int64, bytes], a)[0] for a in attached]
-    assert sequences == list(range(1, 21))
+        # Each pose is waited for: a burst may be dropped, and then tells nothing of the numbers
+        sequences = []
+        while sequences != [poses.published] * 2:
+            sample = router.take()
+            sequence = z_deserialize(tuple[Int64, Int64, bytes], sample.attachment)[0]
+            assert sequence <= poses.published
+            if sequence == poses.published:
+                sequences.append(sequence)
 
 
 def test_nobody_there_at_first_then_there_then_away_and_back(start, endpoint):
