@@ -263,17 +263,25 @@ class UdpTransport:
         if channel.newest_number > newest:
             session.address = address
             self._sessions.heard(session)
-            if not self._announced and now_ns - session.goodbye_ns > GOODBYE_AGAIN_NS:
-                session.goodbye_ns = now_ns
-                channel.goodbye()
-        for message in messages:
-            if not quota.messages.take(now_ns):
-                self._counters.count(Refusal.DRONE_RATE)
-            elif self._on_message is not None:
-                self._on_message(session.drone, message, now_ns)
+        self._hand_over(session, messages, now_ns)
         channel.settle(now_ns)
         if channel.in_pieces:
             self._in_pieces.add(session)
+        if authentic and not self._announced:
+            self._goodbye_again(session, now_ns)
+
+    def _hand_over(self, session: WorkerSession, messages: list[bytes], now_ns: int) -> None:
+        for message in messages:
+            if not session.quota.messages.take(now_ns):
+                self._counters.count(Refusal.DRONE_RATE)
+            elif self._on_message is not None:
+                self._on_message(session.drone, message, now_ns)
+
+    def _goodbye_again(self, session: WorkerSession, now_ns: int) -> None:
+        """The drone still talks to a worker that has withdrawn: maybe it did not hear that."""
+        if now_ns - session.goodbye_ns > GOODBYE_AGAIN_NS:
+            session.goodbye_ns = now_ns
+            session.channel.goodbye()
 
     def _on_handshake(self, datagram: memoryview, address: Address, now_ns: int) -> None:
         """Answer an INIT or a HELLO.

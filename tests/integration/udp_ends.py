@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -132,7 +133,8 @@ class Relay:
                 self._threads.append(thread)
                 thread.start()
             if self._pass(True, datagram):
-                back.send(datagram)
+                with contextlib.suppress(ConnectionRefusedError):  # the worker is away
+                    back.send(datagram)
 
     def _down(self, back: socket.socket, client: tuple[str, int]) -> None:
         while not self._closed:
