@@ -181,7 +181,12 @@ def summarise_load(tallies: list[LoadTally], seconds: float) -> dict[str, Any]:
 
 def load_test(
     drones: Annotated[int, typer.Option(min=1, max=64, help="how many drones")] = 4,
-    rate: Annotated[float, typer.Option(min=0.1, max=240, help="frames a second of each")] = 15.0,
+    rate: Annotated[
+        float,
+        typer.Option(
+            min=0.1, max=240, help="frames a second of each; a worker takes EDGE_MAX_RATE_HZ (60)"
+        ),
+    ] = 15.0,
     duration: Annotated[float, typer.Option(min=0.5, max=3600, help="seconds")] = 10.0,
     connect: Annotated[str | None, typer.Option(help=about("connect"))] = None,
     recording: Annotated[

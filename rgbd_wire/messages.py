@@ -64,7 +64,8 @@ class FrameHeader(_Message, frozen=True):
     t1_ns: Nanoseconds
     """First byte handed to the link, drone's clock."""
     budget_ns: Nanoseconds
-    """How long after its sending the result is still of use: a duration, on nobody's clock."""
+    """For how long after its arrival the worker's answer is still of use: what was left of age_max
+    when the frame left, less the way there and back. A duration, on nobody's clock."""
     color: Intrinsics
     depth: Intrinsics | None
     """None: depth is aligned to the colour picture, or there is none."""
@@ -109,7 +110,7 @@ class Outcome(StrEnum):
     """A newer frame of the same drone came before this one's turn."""
     BAD_FRAME = "bad_frame"
     OVERLOADED = "overloaded"
-    """More drones than this worker serves."""
+    """More drones than this worker serves, or more frames than this one may send."""
     DROPPED = "dropped"
     """Its answer could not have come within the frame's budget; nobody looked at the picture."""
     DRAINING = "draining"

@@ -1,6 +1,6 @@
 """How long a drone is without a worker: killed, hung, drained; two real workers, a real drone.
 
-    scripts/bench handover [--repeats 5] [--transport zenoh|udp|both] [--write docs/results/handover.md]
+    scripts/bench handover [--repeats 5] [--transport zenoh|udp|both] [--write FILE]
 
 For each fault: from the signal to the worker in use until the first result of the other one is
 accepted; what the drone noticed when; and the control ticks in between that had no fresh target.
@@ -78,8 +78,8 @@ def spread(values: list[float]) -> str:
 def table(rows: list[dict[str, Any]]) -> str:
     """Markdown, one line for each transport and fault."""
     lines = [
-        "| transport | worker is | noticed [ms] | first result of the other [ms] | of it service [ms] "
-        "| ticks without a fresh target | goal |",
+        "| transport | worker is | noticed [ms] | first result of the other [ms] "
+        "| of it service [ms] | ticks without a fresh target | goal |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for transport in dict.fromkeys(r["transport"] for r in rows):
