@@ -20,6 +20,7 @@ from drone_client.flight import Flight, FlightSettings, Tally
 from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME, Ledger
 from drone_client.link import Link
 from drone_client.link.choose import link_summary
+from drone_client.link.diagnosis import diagnose
 from drone_client.playback import Lockstep, Playback, RealTime
 from drone_client.plot import PLOT_NAME, plot_run
 from drone_client.rate_control import RateSettings
@@ -31,8 +32,11 @@ from drone_client.truth import TruthEntry
 from drone_client.uplink import UplinkSettings
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
+from rgbd_wire.tls_files import tls_files
 
 SUMMARY_NAME: Final = "summary.json"
+MAX_KNOCKS = 4
+"""Endpoints that are looked at when nobody answers; each may take some seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +86,18 @@ def wait_for_worker(link: Link, settings: ClientSettings) -> tuple[str, ...]:
     while not (workers := link.workers()):
         if time.monotonic() >= give_up:
             raise LinkError(
-                f"no worker answers at {settings.connect} within {settings.wait_for_worker_s:g} s: "
-                "is edge-service running there, and the port open?"
+                f"no worker answers at {settings.connect} within {settings.wait_for_worker_s:g} s; "
+                + _reasons(settings)
             )
         time.sleep(0.02)
     return workers
+
+
+def _reasons(settings: ClientSettings) -> str:
+    if settings.uses_tunnel:
+        return "is edge-service running there with EDGE_UDP_LISTEN, and does it have our key?"
+    tls = None if settings.tls is None else tls_files(settings.tls)
+    return "; ".join(diagnose(endpoint, tls) for endpoint in settings.endpoints[:MAX_KNOCKS])
 
 
 def replay(

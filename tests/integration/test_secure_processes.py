@@ -106,7 +106,9 @@ def test_a_drone_that_the_worker_does_not_name_finds_no_worker(service, ends, tm
         DRONE_WAIT_FOR_WORKER_S="2",
     )
     assert ended.returncode != 0
-    assert "no worker answers" in " ".join(ended.stderr.split())
+    told = " ".join(ended.stderr.split())
+    assert "no worker answers" in told
+    assert "it takes our certificate; is this drone among EDGE_ZENOH_DRONES" in told
 
 
 def test_an_expired_certificate_ends_both_programs_with_one_line(service, ends, tmp_path):
