@@ -1,4 +1,4 @@
 """The UDP tunnel: sealed datagrams, erasure coding, one handshake (docs/protocol.md).
 
-Everything here but ``datagrams`` and ``channel`` is pure: bytes and times in, bytes out.
+Pure, bytes and times in and bytes out, but for ``datagrams``, ``channel``, ``pump`` and ``keys``.
 """

@@ -252,6 +252,24 @@ def test_a_full_link_is_not_spent_on_parity() -> None:
     assert path.drone.state().parity == 0
 
 
+@pytest.mark.parametrize(("one_way_ns", "parity"), [(200_000, 0), (10 * MS, 3)])
+def test_parity_waits_where_a_report_is_quick(one_way_ns: int, parity: int) -> None:
+    """On a short way without loss the report comes first, and parity is neither made nor sent."""
+    big = [0]
+
+    def count() -> bool:
+        big[0] += 1
+        return False
+
+    path = Path(count, one_way_ns, rate_bps=1e9)
+    delays(path, 100)
+    big[0] = 0
+    path.send(bytes(60_000))
+    path.run_until(path.now_ns + 100 * MS)
+    assert big[0] == 52 + parity + 1  # and the report
+    assert path.drone.state().parity > 0
+
+
 def test_what_cannot_come_in_time_is_not_sent_again() -> None:
     """A budget shorter than a round trip: the NACK is counted as late."""
     path = Path(losses(0.5))
