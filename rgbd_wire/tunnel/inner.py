@@ -4,7 +4,7 @@
 
     SHARD    u8 1, u24 length of the message, u16 symbol id, u24 message id, u8 parity symbols
              that were sent with it, symbol
-    NACK     u8 2, u24 message id, u8 round (1, 2), u16 symbols wanted
+    NACK     u8 2, u24 message id, u8 round (1, 2), u16 symbols wanted, u16 symbols expected
     REPORT   u8 3, u24 message id, u8 whole (0, 1), u16 symbols received, u16 symbols lost,
              u32 bytes after the first batch, u32 time from the first to the last batch [us]
     GOODBYE  u8 4
@@ -22,7 +22,7 @@ from typing import TypeAlias
 
 from rgbd_wire.tunnel.errors import Refusal, TunnelError
 
-_NACK = struct.Struct("<IBH")
+_NACK = struct.Struct("<IBHH")
 _REPORT = struct.Struct("<IBHHII")
 _PING = struct.Struct("<BQI")
 _PING_BYTES = _PING.size + 10
@@ -50,7 +50,10 @@ class Nack:
     round: int
     """1, or 2 when what the first one asked for was not enough."""
     wanted: int
-    """How many symbols that were not sent yet."""
+    """How many symbols lack, and a few more."""
+    expected: int
+    """How many of the first round come after the last one that is here; they may be on their way,
+    which the sender knows better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,9 @@ def pack_word(word: Word) -> bytes:
     """The bytes of anything but a shard."""
     match word:
         case Nack():
-            return _NACK.pack(Inner.NACK | word.message_id << 8, word.round, word.wanted)
+            return _NACK.pack(
+                Inner.NACK | word.message_id << 8, word.round, word.wanted, word.expected
+            )
         case Report():
             return _REPORT.pack(
                 Inner.REPORT | word.message_id << 8,
@@ -125,9 +130,9 @@ def parse_word(inner: bytes) -> Word:
     """
     match inner[0], len(inner):
         case Inner.NACK, _NACK.size:
-            head, number, wanted = _NACK.unpack(inner)
+            head, number, wanted, expected = _NACK.unpack(inner)
             if 1 <= number <= MAX_ROUNDS and wanted > 0:
-                return Nack(head >> 8, number, wanted)
+                return Nack(head >> 8, number, wanted, expected)
         case Inner.REPORT, _REPORT.size:
             head, whole, received, lost, train_bytes, train_us = _REPORT.unpack(inner)
             if whole <= 1:

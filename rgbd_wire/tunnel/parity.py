@@ -50,7 +50,7 @@ class ParityControl:
         elif not self.lossy:
             rate = 0.0 if crowded else LOW
         else:
-            wanted = self._worst / max(1.0 - self._worst, 0.5) + 1.0 / data_symbols
+            wanted = self._worst / max(1.0 - self._worst, 0.5) + 2.0 / data_symbols
             rate = min(max(wanted, LOW), CROWDED if crowded else HIGH)
         count = math.ceil(data_symbols * rate - 1e-9)
         self.rate = count / data_symbols

@@ -264,16 +264,16 @@ class Partials:
                 partial.deadline_ns = partial.last_ns + STALE_NS
 
     def _ask(self, partial: _Partial, now_ns: int) -> None:
-        """Ask for what lacks, less what is still on its way, and a little more."""
+        """Ask for what lacks, and a little more."""
         lacking = max(1, partial.symbols - partial.got)
-        coming = 0
-        if now_ns - partial.last_ns <= self._patience_ns(partial):
-            coming = partial.first_round - 1 - partial.highest
-        wanted = max(1, lacking - coming)
+        expected = partial.first_round - 1 - partial.highest
         partial.rounds += 1
         partial.deadline_ns = now_ns + self.srtt_ns + self.srtt_ns // 4 + self._patience_ns(partial)
-        margin = 1 + wanted // 4  # what is sent again may be lost again
-        self.words.append(Nack(partial.key, partial.rounds, min(wanted + margin, 65535)))
+        # What is sent again may be lost again
+        margin = 1 + max(1, lacking - expected) // 4
+        self.words.append(
+            Nack(partial.key, partial.rounds, min(lacking + margin, 65535), min(expected, 65535))
+        )
 
     def _patience_ns(self, partial: _Partial) -> int:
         """How long the next batch may take: three times as long as those so far took."""

@@ -114,6 +114,7 @@ class Sending:
                 return []
             self._pacer.spend(count)
             shards = outgoing.take(count)
+            outgoing.left_ns = now_ns
             if not outgoing.data_left and 0 < self.srtt_ns < SHORT_WAY_NS:
                 outgoing.parity_ns = outgoing.parity_ns or now_ns + 2 * self.srtt_ns + 1_000_000
             return self._sealer.seal_all(shards)
@@ -163,9 +164,15 @@ class Sending:
         if now_ns - outgoing.sent_ns + self.srtt_ns // 2 > outgoing.budget_ns:
             self._counters.count(Refusal.LATE)
             return []
+        # What has not left, or cannot have been there when it was asked for, is not sent again
+        under_way = outgoing.left > 0 or now_ns - outgoing.left_ns < self.srtt_ns
+        wanted = nack.wanted - (nack.expected if under_way else 0)
+        wanted = min(wanted, outgoing.symbols + 8)
+        if wanted <= 0:
+            return []
         outgoing.rounds = nack.round
         self._lossy_until_ns = now_ns + LOSSY_FOR_NS
-        shards = outgoing.take_fresh(min(nack.wanted, outgoing.symbols + 8))
+        shards = outgoing.take_fresh(wanted)
         self._pacer.spend(len(shards))
         return self._sealer.seal_all(shards)
 

@@ -53,6 +53,8 @@ class Outgoing:
         self.rounds = 0
         """NACKs that were answered."""
         self.begun = False
+        self.left_ns = sent_ns
+        """When the last symbol of the first round left, own clock."""
         self.parity_ns = 0
         """Parity is held back until then, own clock."""
         self._next = 0

@@ -1,8 +1,8 @@
 """Write the test vectors of the UDP tunnel beside this file.
 
 ``python tests/data/tunnel/make.py`` rewrites them; that is called for only when the version of the
-tunnel changes. All that is random in flight is fixed here, so that another implementation can compute
-every byte: keys, nonces, X25519 private keys, and a message that is a formula.
+tunnel changes. All that is random in flight is fixed here, so that another implementation can
+compute every byte: keys, nonces, X25519 private keys, and a message that is a formula.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ NOW_NS = 5 * COOKIE_BUCKET_NS + 1
 BOTH = Cipher.AES_256_GCM | Cipher.CHACHA20_POLY1305
 MESSAGE_BYTES, MESSAGE_ID, PARITY = 3000, 0x0A0B0C, 2
 WORDS = {
-    "nack": Nack(MESSAGE_ID, 1, 7),
+    "nack": Nack(MESSAGE_ID, 1, 7, 3),
     "report": Report(MESSAGE_ID, True, 5, 1, 2456, 4000),
     "goodbye": Goodbye(),
     "ping": Ping(False, 123_456_789_012_345, 20_500, 1000, 990),

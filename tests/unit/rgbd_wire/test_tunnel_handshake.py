@@ -155,7 +155,7 @@ def test_any_hello_of_the_right_size_is_refused(data: bytes) -> None:
 
 U24, U16, U32, U40 = (st.integers(0, 2**n - 1) for n in (24, 16, 32, 40))
 WORDS: st.SearchStrategy[Word] = st.one_of(
-    st.builds(Nack, U24, st.integers(1, 2), st.integers(1, 65535)),
+    st.builds(Nack, U24, st.integers(1, 2), st.integers(1, 65535), U16),
     st.builds(Report, U24, st.booleans(), U16, U16, U32, U32),
     st.builds(Ping, st.booleans(), st.integers(0, 2**64 - 1), U32, U40, U40),
     st.just(Goodbye()),

@@ -165,20 +165,20 @@ def test_a_nack_says_how_much_lacks(receiver: Receiver) -> None:
     receiver.partials.tick(due_ns - 1)
     assert not receiver.words(Nack)
     receiver.partials.tick(due_ns)
-    assert receiver.words(Nack) == [Nack(0, 1, 3 + 1)]
+    assert receiver.words(Nack) == [Nack(0, 1, 3 + 1, 0)]
     receiver.add(*out.take_fresh(4), now_ns=12 * MS)
     assert receiver.messages == [out.message]
 
 
 def test_a_nack_comes_as_soon_as_parity_cannot_do(receiver: Receiver) -> None:
-    """More gaps than parity in the middle of a message: what is still to come is not asked for."""
+    """More gaps than parity in the middle of a message: it says what it expects besides."""
     out = outgoing(20 * SYMBOL_BYTES, parity=2)
     shards = first_round(out)
     receiver.add(shards[0], now_ns=0)
     receiver.add(*shards[6:10], now_ns=MS)
     receiver.partials.tick(MS + REORDER_NS)
     (nack,) = receiver.words(Nack)
-    assert nack.wanted == 3 + 1
+    assert (nack.wanted, nack.expected) == (15 + 1, 12)
 
 
 def test_silence_after_a_part_leads_to_a_nack(receiver: Receiver) -> None:
@@ -187,7 +187,7 @@ def test_silence_after_a_part_leads_to_a_nack(receiver: Receiver) -> None:
     receiver.add(*first_round(out)[:12], now_ns=0)
     receiver.partials.tick(MAX_PATIENCE_NS)
     (nack,) = receiver.words(Nack)
-    assert nack.wanted == 8 + 1 + 2
+    assert (nack.wanted, nack.expected) == (8 + 1, 10)
 
 
 def test_two_rounds_and_then_it_is_stale(receiver: Receiver) -> None:
