@@ -16,7 +16,7 @@ import itertools
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,9 +25,10 @@ from link_emulator.control import Control
 from link_emulator.errors import NotPermittedError
 from link_emulator.impairments import Impairments
 from link_emulator.relay_process import RelayProcess
+from link_emulator.tun import DEVICE
 
-ADDRESS_A, ADDRESS_B, PREFIX = "10.203.0.1", "10.203.0.2", 30
-END_S = 5.0
+NETWORK, ADDRESS_A, ADDRESS_B, PREFIX = "10.203.0.0/30", "10.203.0.1", "10.203.0.2", 30
+CONGESTION_CONTROLS = Path("/proc/sys/net/ipv4/tcp_available_congestion_control")
 _numbers = itertools.count()
 
 
@@ -131,27 +132,25 @@ class Namespaces:
         self._processes.append(process)
         return process
 
-    def sysctl(self, end: Literal["a", "b"], values: Mapping[str, str]) -> None:
-        """Set kernel parameters that a namespace has for itself, such as congestion control.
+    def congestion_control(self, end: Literal["a", "b"], name: str) -> None:
+        """Let all TCP connections that begin in a namespace use one congestion control.
+
+        It goes with the route: the kernel keeps what its system settings do not list from being
+        the default of any namespace but its first.
 
         Args:
             end: which namespace.
-            values: by their place under ``/proc/sys``, such as
-                ``net/ipv4/tcp_congestion_control``.
+            name: one that the kernel has, such as ``cubic`` or ``bbr``.
 
         Raises:
-            NotPermittedError: the kernel refused one.
+            NotPermittedError: it has none of that name; lists those that it has.
         """
-        script = (
-            "import sys\nfor a in sys.argv[1:]:\n p, v = a.split('=', 1)\n open(p, 'w').write(v)"
-        )
-        pairs = [f"/proc/sys/{place}={value}" for place, value in values.items()]
-        process = self.popen(
-            end, [sys.executable, "-c", script, *pairs], stderr=subprocess.PIPE, text=True
-        )
-        _, errors = process.communicate()
-        if process.returncode:
-            raise NotPermittedError(f"{', '.join(pairs)}: {errors.strip().splitlines()[-1]}")
+        available = CONGESTION_CONTROLS.read_text().split()
+        if name not in available:
+            raise NotPermittedError(f"no {name!r} in this kernel; there are {', '.join(available)}")
+        source = ADDRESS_A if end == "a" else ADDRESS_B
+        route = f"{NETWORK} dev {DEVICE} proto kernel scope link src {source} congctl {name}"
+        netns.ip("-n", self.names[end], "route", "replace", *route.split())
 
     def close(self) -> None:
         """End everything; may be called twice."""

@@ -84,6 +84,13 @@ def ask(host: str, port: int, kind: str, count: int, timeout_s: float) -> None:
     print(json.dumps(times))
 
 
+def congestion(host: str, port: int) -> None:
+    """Print the congestion control of a connection."""
+    with socket.create_connection((host, port)) as sock:
+        name = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, 16)
+    print(json.dumps(name.rstrip(b"\0").decode()))
+
+
 def upload(host: str, port: int, size_bytes: int) -> None:
     """Send so much over TCP to an echo; print the seconds until all is back, unharmed."""
     import threading

@@ -14,8 +14,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from link_emulator import Control, ControlError, Impairments, Namespaces, netns
-from link_emulator.namespaces import may_make_namespaces
+from link_emulator import (
+    Control,
+    ControlError,
+    Impairments,
+    Namespaces,
+    NotPermittedError,
+    netns,
+)
+from link_emulator.namespaces import CONGESTION_CONTROLS, may_make_namespaces
 
 WHY_NOT = may_make_namespaces()
 pytestmark = pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
@@ -127,6 +134,18 @@ def test_tcp_gets_through_a_slow_link_that_loses() -> None:
     assert told["seconds"] > 8e6 / 40e6
     assert report.up.passed > 600
     assert report.up.dropped["lost"] > 0
+
+
+def test_congestion_control_of_a_namespace_can_be_chosen() -> None:
+    """A connection has what was asked for, whichever the machine's default is."""
+    available = CONGESTION_CONTROLS.read_text().split()
+    with Namespaces() as net:
+        serve(net, "echo_tcp", PORT)
+        for name in available:
+            net.congestion_control("a", name)
+            assert answer(end(net, "a", "congestion", net.address_b, PORT)) == name
+        with pytest.raises(NotPermittedError, match="no 'nagle' in this kernel"):
+            net.congestion_control("a", "nagle")
 
 
 def test_report_says_how_exact_the_relay_was() -> None:

@@ -13,13 +13,12 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from drone_client.airframe import Airframe
 from drone_client.encoding_choice import EncodingChoice
-from drone_client.gate import GateSettings
+from drone_client.gate import GateSettings, SentFrame
 from drone_client.ledger import Ledger
 from drone_client.link import Link
 from drone_client.link.udp import UdpLink
@@ -142,11 +141,17 @@ class _Uplink:
         )
         self.ledger = Ledger(folder)
         choice = EncodingChoice(rate, lambda: None)
-        self.uplink = Uplink(settings, link, clock, self.receiver, self.ledger, choice)
+        self.sent: list[int] = []
+        self.uplink = Uplink(settings, link, clock, self, self.ledger, choice)
+
+    def sending(self, frame: SentFrame) -> None:
+        """A frame is about to leave."""
+        self.sent.append(frame.sequence)
+        self.receiver.sending(frame)
 
 
-def send(job: Job) -> dict[str, Any]:
-    """Submit every frame at its time to the drone's uplink."""
+def send(job: Job) -> list[int]:
+    """Submit every frame at its time to the drone's uplink; the numbers of those that left."""
     frame = noise_frame(job.size_bytes)
     link = open_drone_link(job)
     came = threading.Event()
@@ -164,10 +169,9 @@ def send(job: Job) -> dict[str, Any]:
             drone.uplink.submit(replace(frame, t_capture_ns=t_capture_ns), "")
         time.sleep(0.5)
         drone.uplink.stop()
-        fates = {fate.value: count for fate, count in drone.ledger.fates.items()}
         link.close()
         drone.ledger.close()
-    return {"fates": fates}
+    return drone.sent
 
 
 def ask(job: Job) -> list[float]:
