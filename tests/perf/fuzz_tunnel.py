@@ -1,123 +1,225 @@
-"""Throw mutated datagrams at both ends of the tunnel; anything but an answer or a count is a bug.
+"""Mutated datagrams for both ends of the tunnel; anything but an answer or a count is a bug.
 
-``python -m tests.perf.fuzz_tunnel --count 10000000`` starts from the test vectors. Half of the
-mutants are of whole datagrams, as somebody without a key would send them; the other half is sealed
-with the true key after the mutation, as a peer gone mad would, so that they reach the layers behind
-the seal. A short run is part of the test suite.
+A part comes as from somebody without a key: every type of datagram, flipped, cut, made longer, sent
+again, sent to the wrong end. A part is signed or sealed with the true key after it was made up, as
+by a peer gone mad, so that it reaches the layers behind the seal: shards, NACK, REPORT, PING.
 """
 
 from __future__ import annotations
 
-import argparse
 import random
-import resource
 import struct
-import sys
-import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from rgbd_wire.tunnel.channel import Channel, Side
-from rgbd_wire.tunnel.errors import Counters, TunnelError
 from rgbd_wire.tunnel.handshake import (
-    SessionKeys,
-    check_cookie,
-    check_hello,
-    open_welcome,
-    parse_cookie,
-    parse_hello,
-    parse_init,
+    HELLO_BYTES,
+    MAC_BYTES,
+    NONCE_BYTES,
+    WELCOME_BYTES,
+    _mac,
+    make_cookie,
+    pack_cookie,
+    pack_hello,
 )
-from rgbd_wire.tunnel.packet import Type, parse_reset, type_of
-from rgbd_wire.tunnel.partials import MAX_OPEN_BYTES
-from rgbd_wire.tunnel.seal import Sealer
+from rgbd_wire.tunnel.packet import MAX_PACKET_NUMBER
+from rgbd_wire.tunnel.seal import Cipher
 from rgbd_wire.tunnel.shards import MAX_SYMBOLS, SHARD_HEAD, SYMBOL_BYTES, Outgoing
 from tests.data.tunnel import make
+from tests.perf.fuzz_ends import DRONE, WORKER, Ends
 
 MS = 1_000_000
+BLOCK = 20_000
+"""Datagrams thrown at one pair of ends; then come fresh ones, so that a block can be repeated."""
 EDGES = (0, 1, 2, 7, 8, 127, 128, 255)
 NUMBERS = (0, 1, 2, 1159, 1160, 1161, 2320, 60_000, 8_388_624, 8_388_625, 2**24 - 1)
-MAX_GROWTH_BYTES = 96 * 1024 * 1024
-"""Of the whole process after its first tenth: both sessions full of pieces of messages, and what
-the allocator keeps."""
+SIZES = (1, 1160, 1161, 5000, 20_000)
+SMALL_ORDER = (bytes(32), bytes([1, *bytes(31)]), b"\xec" + b"\xff" * 30 + b"\x7f", b"\xff" * 32)
+WORDS = [(make.HERE / f"word_{name}.bin").read_bytes() for name in make.WORDS]
+VECTORS = [path.read_bytes() for path in sorted(make.HERE.glob("*.bin"))]
 
 
-@dataclass
-class Outcome:
-    """What became of the mutants."""
+class TunnelBlock:
+    """One pair of ends and what is thrown at them, all of it by one seed.
 
-    counts: Counter[str]
-    slowest_s: float = 0.0
-    growth_bytes: int = 0
+    Args:
+        seed: of everything but the keys of the session.
+    """
+
+    def __init__(self, seed: str) -> None:
+        self.rng = random.Random(seed)
+        self.outcomes: Counter[str] = Counter()
+        self.ends = Ends(make.PSK, self._on_message)
+        self.ends.connect()
+        self.thrown = 0
+        self._ways: tuple[tuple[float, Callable[[], int]], ...] = (
+            (0.30, self._unsealed_up),
+            (0.30, self._unsealed_down),
+            (0.68, self._sealed),
+            (0.02, self._signed_hello),
+            (0.01, self._answered),
+            (0.05, self._honest),
+        )
+
+    def throw(self) -> int:
+        """One batch; how many datagrams it was.
+
+        Raises:
+            AssertionError: a bound does not hold.
+            Exception: whatever the two ends let out.
+        """
+        rng, ends = self.rng, self.ends
+        if ends.session is None or not ends.line.up or rng.random() < 0.0005:
+            ends.connect()
+        if ends.sealers[0].used_up or ends.sealers[1].used_up:
+            ends.connect()
+        weights, ways = zip(*self._ways, strict=True)
+        count = rng.choices(ways, weights)[0]()
+        ends.step(rng.choice((0, 1000, MS, MS, 2 * MS, 30 * MS)))
+        if rng.random() < 0.2:
+            ends.deliver()
+        else:
+            ends.forget()
+        ends.check()
+        self.thrown += count
+        return count
+
+    def close(self) -> None:
+        """Count what the ends counted, and let them go."""
+        self.outcomes.update(self.ends.refused())
+        self.ends.close()
+
+    def _on_message(self, message: bytes) -> None:
+        self.outcomes["message"] += 1
+        if self.rng.random() < 0.2:
+            self.ends.worker.send(DRONE, message[:500] or b"x")
+
+    def _segment(self, datagrams: Sequence[bytes]) -> int:
+        if self.rng.random() < 0.9:
+            return max(1, len(datagrams[0]))
+        return self.rng.randrange(1, 1300)
+
+    def _raw(self) -> list[bytes]:
+        rng, recorded = self.rng, self.ends.recorded
+        known = recorded if recorded and rng.random() < 0.7 else VECTORS
+        return [mutant(rng.choice(known), rng) for _ in range(rng.choice((1, 1, 2, 5)))]
+
+    def _unsealed_up(self) -> int:
+        """From anywhere; the answers are never longer than what they answer."""
+        rng, ends = self.rng, self.ends
+        datagrams = self._raw()
+        stranger = (f"192.0.2.{rng.randrange(256)}", rng.randrange(65_536))
+        place = ends.line.sock.place if rng.random() < 0.3 else stranger  # type: ignore[attr-defined]
+        ends.wire.sent.clear()
+        ends.to_worker(datagrams, self._segment(datagrams), place)
+        if place is stranger:
+            answered = sum(len(data) for data, to in ends.wire.sent if to == place)
+            assert answered <= sum(map(len, datagrams)), "amplification"
+        self.outcomes["unsealed, to the worker"] += len(datagrams)
+        return len(datagrams)
+
+    def _unsealed_down(self) -> int:
+        """At the socket of the session, or at that of a handshake that is under way."""
+        rng, ends = self.rng, self.ends
+        if rng.random() < 0.03:
+            ends.drone.unheard(WORKER)
+            ends.step(0)
+        datagrams = self._raw()
+        ends.to_drone(datagrams, self._segment(datagrams), rng.choice(ends.endpoint.sockets()))
+        self.outcomes["unsealed, to the drone"] += len(datagrams)
+        return len(datagrams)
+
+    def _sealed(self) -> int:
+        """What somebody with the keys of the session may say."""
+        rng, ends = self.rng, self.ends
+        to_worker = rng.random() < 0.5
+        sealer = ends.sealers[0 if to_worker else 1]
+        if rng.random() < 0.0005:
+            far = sealer.number + rng.choice((1, 1000, 1024, 2**20, 2**32, 2**39))
+            sealer.number = min(far, MAX_PACKET_NUMBER - 65_536)
+        datagrams = sealer.seal_all(inners(rng))
+        if rng.random() < 0.1:
+            datagrams[-1] = mutant(datagrams[-1], rng)
+        if rng.random() < 0.1:
+            rng.shuffle(datagrams)
+        if to_worker:
+            place: Any = ends.line.sock.place  # type: ignore[attr-defined]
+            if rng.random() < 0.05:
+                place = ("192.0.2.9", rng.randrange(65_536))
+            ends.to_worker(datagrams, self._segment(datagrams), place)
+        else:
+            ends.to_drone(datagrams, self._segment(datagrams), ends.line.sock)
+        self.outcomes["sealed"] += len(datagrams)
+        return len(datagrams)
+
+    def _signed_hello(self) -> int:
+        """A HELLO with a good cookie and a good MAC, and anything between them."""
+        rng, ends = self.rng, self.ends
+        nonce, place = rng.randbytes(NONCE_BYTES), ("192.0.2.8", rng.randrange(65_536))
+        text = repr(place).encode()
+        cookie = make_cookie(ends.worker._secret, text, nonce, ends.clock.ns)
+        public = rng.choice((*SMALL_ORDER, rng.randbytes(32), rng.randbytes(32)))
+        head = bytearray(
+            pack_hello(DRONE, make.PSK, nonce, cookie, public, Cipher(rng.randrange(1, 4)))
+        )[: HELLO_BYTES - MAC_BYTES]
+        if rng.random() < 0.5:
+            head[rng.randrange(37, len(head))] = rng.choice(EDGES)
+        hello = bytes(head) + _mac(make.PSK, b"hello", bytes(head))
+        datagrams = [hello] * rng.choice((1, 1, 3))
+        ends.to_worker(datagrams, len(hello), place)
+        self.outcomes["signed HELLO"] += len(datagrams)
+        return len(datagrams)
+
+    def _answered(self) -> int:
+        """A handshake of the drone's, answered by a worker that signs anything."""
+        rng, ends = self.rng, self.ends
+        ends.endpoint.redial()
+        ends.step(600 * MS)
+        attempt = ends.endpoint.attempt
+        if attempt is None:
+            return 0
+        sock, sent = attempt.sock, 2
+        ends.to_drone([mutant(pack_cookie(attempt.nonce, rng.randbytes(20)), rng)], 37, sock)
+        if ends.endpoint.attempt is attempt and attempt.hello is None:
+            ends.to_drone([pack_cookie(attempt.nonce, rng.randbytes(20))], 37, sock)
+            sent = 3
+        if ends.endpoint.attempt is not attempt or attempt.hello is None:
+            return sent
+        public = rng.choice((*SMALL_ORDER, _PUBLIC, _PUBLIC))
+        name = rng.choice((b"worker-a", b"worker-b", rng.randbytes(8)))
+        head = bytearray(
+            struct.pack(
+                "<B16sQ32sBB32s",
+                0x14,
+                attempt.nonce,
+                rng.randrange(2**64),
+                public,
+                rng.choice((1, 1, 2, 2, 0, 3, 255)),
+                len(name),
+                name,
+            )
+        )
+        if rng.random() < 0.5:
+            head[rng.randrange(1, len(head))] = rng.choice(EDGES)
+        mac = _mac(make.PSK, b"welcome", attempt.hello.packet + bytes(head))
+        ends.to_drone([bytes(head) + mac], WELCOME_BYTES, sock)
+        self.outcomes["signed WELCOME"] += 1
+        return sent
+
+    def _honest(self) -> int:
+        """Frames that are true, so that there is something to ask for and to report."""
+        rng, ends = self.rng, self.ends
+        if rng.random() < 0.5:
+            ends.drone.send(WORKER, rng.randbytes(rng.choice(SIZES)), rng.choice((1, 10**9)))
+        else:
+            ends.worker.send(DRONE, rng.randbytes(rng.choice(SIZES)))
+        return 0
 
 
-class Target:
-    """Both ends of one session, and the worker's side of the handshake."""
-
-    def __init__(self) -> None:
-        self.hello = parse_hello(vector("hello"))
-        self.private = X25519PrivateKey.from_private_bytes(make.DRONE_PRIVATE)
-        welcome = open_welcome(vector("welcome_aes_256_gcm"), self.hello, make.PSK, self.private)
-        self.keys: SessionKeys = welcome.keys
-        self.counters = Counters()
-        self.now_ns = 0
-        self.reopen()
-
-    def reopen(self) -> None:
-        """Fresh channels, as after another handshake."""
-        self.ends = {
-            side: Channel(self.keys, side, len, self.counters, self.now_ns) for side in Side
-        }
-        self.sealers = {
-            Side.WORKER: Sealer(Type.UP, self.keys.session, self.keys.cipher, self.keys.up),
-            Side.DRONE: Sealer(Type.DOWN, self.keys.session, self.keys.cipher, self.keys.down),
-        }
-        for end in self.ends.values():  # something that a NACK or a REPORT can be about
-            end.send(make.message(), 100 * MS, self.now_ns)
-
-    def receive(self, datagrams: Sequence[bytes], segment: int) -> str:
-        """Do all that both ends do with what came; say what became of it."""
-        data = memoryview(b"".join(datagrams))
-        try:
-            kind = type_of(data)
-            match kind:
-                case Type.INIT:
-                    parse_init(data)
-                case Type.COOKIE:
-                    parse_cookie(data)
-                case Type.HELLO:
-                    hello = parse_hello(data)
-                    check_cookie(make.COOKIE_SECRET, make.ADDRESS, hello, make.NOW_NS)
-                    check_hello(hello, make.PSK)
-                case Type.WELCOME:
-                    open_welcome(data, self.hello, make.PSK, self.private)
-                case Type.RESET:
-                    parse_reset(data)
-                case Type.UP:
-                    return self._sealed(Side.WORKER, data, segment)
-                case Type.DOWN:
-                    return self._sealed(Side.DRONE, data, segment)
-        except TunnelError as error:
-            return error.reason.value
-        return f"{kind.name} accepted"
-
-    def _sealed(self, side: Side, data: memoryview, segment: int) -> str:
-        end = self.ends[side]
-        messages = end.receive(data, segment, self.now_ns)
-        end.settle(self.now_ns)
-        end.tick(self.now_ns)
-        assert end._partials.open_bytes <= MAX_OPEN_BYTES
-        assert not end._partials.words
-        return "message" if messages else "taken in"
-
-
-def vector(name: str) -> bytes:
-    """A test vector."""
-    return (make.HERE / f"{name}.bin").read_bytes()
+_PUBLIC = X25519PrivateKey.from_private_bytes(make.WORKER_PRIVATE).public_key().public_bytes_raw()
 
 
 def mutant(data: bytes, rng: random.Random) -> bytes:
@@ -139,6 +241,20 @@ def mutant(data: bytes, rng: random.Random) -> bytes:
     return bytes(out)
 
 
+def inners(rng: random.Random) -> list[bytes]:
+    """What goes into the sealed datagrams of one batch."""
+    match rng.randrange(4):
+        case 0:
+            made = [made_shard(rng) for _ in range(rng.randrange(1, 6))]
+        case 1:
+            made = [mutant(s, rng) for s in true_shards(rng)]
+        case 2:
+            made = true_shards(rng)
+        case _:
+            made = [word(rng) for _ in range(rng.choice((1, 1, 4)))]
+    return [i for i in made if 0 < len(i) <= 1300] or [b"\x04"]
+
+
 def made_shard(rng: random.Random) -> bytes:
     """A shard that is well formed, of a message that may be any."""
     length = rng.choice((*NUMBERS, rng.randrange(1, 9000), 3000, 3000))
@@ -151,7 +267,7 @@ def made_shard(rng: random.Random) -> bytes:
 
 def true_shards(rng: random.Random) -> list[bytes]:
     """A message of somebody honest, with some of its shards missing and in any order."""
-    message = rng.randbytes(rng.choice((1, 1160, 1161, 5000, 20_000)))
+    message = rng.randbytes(rng.choice(SIZES))
     out = Outgoing(message, rng.randrange(2**24), rng.randrange(4), 0, 0)
     shards = out.take(out.symbols) + out.take(out.parity) + out.take_fresh(rng.randrange(3))
     return rng.sample(shards, rng.randrange(1, len(shards) + 1))
@@ -159,79 +275,29 @@ def true_shards(rng: random.Random) -> list[bytes]:
 
 def word(rng: random.Random) -> bytes:
     """A word of the tunnel, mutated, or one with numbers of its own."""
-    name = rng.choice(list(make.WORDS))
-    if rng.random() < 0.2:
-        number = rng.choice((0, make.MESSAGE_ID, rng.randrange(2**24)))
-        return struct.pack("<IBH", 2 | number << 8, rng.choice((1, 2)), rng.choice((1, 9, 65535)))
-    return mutant(vector(f"word_{name}"), rng)
+    match rng.randrange(6):
+        case 0:
+            number = rng.choice((0, 1, make.MESSAGE_ID, rng.randrange(64)))
+            wanted = rng.choice((1, 9, 65_535))
+            return struct.pack("<IBH", 2 | number << 8, rng.choice((1, 2)), wanted)
+        case 1:
+            lost, got = rng.choice((0, 1, 65_535)), rng.choice((0, 5, 65_535))
+            bytes_, us = rng.choice((0, 4000, 2**32 - 1)), rng.choice((0, 1, 4000, 2**32 - 1))
+            return struct.pack("<IBHHII", 3 | rng.randrange(64) << 8, 1, got, lost, bytes_, us)
+        case 2:
+            stamp, srtt = rng.choice((0, 1, 10**9, 2**64 - 1)), rng.choice((0, 1, 2**32 - 1))
+            numbers = rng.choice((0, 1, 5000, 2**40 - 1)), rng.choice((0, 1, 5000, 2**40 - 1))
+            both = b"".join(n.to_bytes(5, "little") for n in numbers)
+            return struct.pack("<BQI", rng.choice((5, 6)), stamp, srtt) + both
+    return mutant(rng.choice(WORDS), rng)
 
 
-def fuzz(count: int, seed: int) -> Outcome:
-    """Throw ``count`` datagrams.
-
-    Raises:
-        AssertionError: something grew past its bound.
-    """
-    rng, target, outcome = random.Random(seed), Target(), Outcome(Counter())
-    raw = [path.read_bytes() for path in sorted(make.HERE.glob("*.bin"))]
-    thrown, warm_bytes, opened = 0, 0, 0
-    while thrown < count:
-        target.now_ns += rng.choice((0, 1000, MS, 30 * MS))
-        if rng.random() < 0.5:
-            datagrams = [mutant(rng.choice(raw), rng)]
-        else:
-            match rng.randrange(4):
-                case 0:
-                    inners = [made_shard(rng) for _ in range(rng.randrange(1, 6))]
-                case 1:
-                    inners = [mutant(s, rng) for s in true_shards(rng)]
-                case 2:
-                    inners = true_shards(rng)
-                case _:
-                    inners = [word(rng)]
-            sealer = target.sealers[rng.choice(list(Side))]
-            datagrams = sealer.seal_all([i for i in inners if 0 < len(i) <= 1300] or [b"\x04"])
-            if rng.random() < 0.1:
-                datagrams[-1] = mutant(datagrams[-1], rng)
-        segment = max(1, len(datagrams[0])) if rng.random() < 0.9 else rng.randrange(1, 1300)
-        began_s = time.perf_counter()
-        outcome.counts[target.receive(datagrams, segment)] += 1
-        outcome.slowest_s = max(outcome.slowest_s, time.perf_counter() - began_s)
-        thrown += len(datagrams)
-        if thrown - opened > 100_000:
-            opened = thrown
-            target.reopen()
-        if not warm_bytes and thrown >= count // 10:
-            warm_bytes = resident_bytes()
-    outcome.growth_bytes = max(0, resident_bytes() - warm_bytes)
-    assert outcome.growth_bytes < MAX_GROWTH_BYTES, f"{outcome.growth_bytes} bytes more"
-    for name, number in target.counters.snapshot().items():
-        outcome.counts[name] += number
-    return outcome
-
-
-def resident_bytes() -> int:
-    """Memory of this process that is in use."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * resource.getpagesize()
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Fuzz and print what came of it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args(arguments)
-    began_s = time.perf_counter()
-    outcome = fuzz(args.count, args.seed)
-    took_s = time.perf_counter() - began_s
-    for name, number in outcome.counts.most_common():
-        print(f"{number:10d}  {name}")
-    print(f"{args.count} datagrams in {took_s:.0f} s")
-    print(f"slowest batch {outcome.slowest_s * 1e3:.1f} ms")
-    print(f"{outcome.growth_bytes / 2**20:.1f} MiB more memory after the first tenth")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def fuzz(count: int, seed: int) -> Counter[str]:
+    """Throw so many datagrams on this thread, for the short test; what became of them."""
+    block = TunnelBlock(f"{seed}")
+    try:
+        while block.thrown < count:
+            block.throw()
+    finally:
+        block.close()
+    return block.outcomes

@@ -1,22 +1,20 @@
 """Throw mutated messages at the receiving side; anything but an answer or a DecodeError is a bug.
 
-``python tests/perf/fuzz_wire.py --count 1000000`` starts from the test vectors. Most mutants get a
-correct checksum, so that they reach the layers behind it. A short run is part of the test suite.
+``scripts/fuzz messages --count 1000000`` starts from the test vectors. Most mutants get a correct
+checksum, so that they reach the layers behind it. A short run is part of the test suite.
 """
 
 from __future__ import annotations
 
-import argparse
 import random
 import struct
-import sys
-import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from edge_service.first_look import look
 from rgbd_wire.envelope import Kind, seal, unseal
 from rgbd_wire.errors import DecodeError
 from rgbd_wire.frame_codec import decompress, unpack
@@ -26,6 +24,8 @@ from rgbd_wire.probe import decode_probe
 
 VECTORS = Path(__file__).parents[1] / "data" / "wire"
 HEADER_LENGTH = struct.Struct("<I")
+
+BLOCK = 2_000
 
 NASTY: tuple[Any, ...] = (
     None,
@@ -64,6 +64,25 @@ NASTY: tuple[Any, ...] = (
 )
 
 
+class MessageBlock:
+    """Messages that are all made from one seed."""
+
+    def __init__(self, seed: str) -> None:
+        self.outcomes: Counter[str] = Counter()
+        self.thrown = 0
+        self._rng = random.Random(seed)
+        self._sources = seeds()
+
+    def throw(self) -> int:
+        """One message."""
+        self.outcomes[receive(mutant(self._rng.choice(self._sources), self._rng))] += 1
+        self.thrown += 1
+        return 1
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
 def seeds() -> list[bytes]:
     """The test vectors, whole messages."""
     return [path.read_bytes() for path in sorted(VECTORS.glob("*.bin"))]
@@ -78,6 +97,7 @@ def receive(data: bytes) -> str:
     try:
         kind, body = unseal(data, *Kind)
         if kind is Kind.FRAME:
+            look(data)  # what the service does before it lets a frame in
             frame = decompress(unpack(data))
             if frame.world_from_camera is not None:
                 _check_usable(frame.world_from_camera)
@@ -169,38 +189,3 @@ def _check_usable(pose: Pose) -> None:
     there_and_back = pose @ pose.inverse()
     if abs(there_and_back.translation).max() > 1e-6 * (1 + abs(pose.translation).max()):
         raise AssertionError(f"a pose that cannot be undone: {pose}")
-
-
-def main() -> int:
-    """Run the fuzzer with a line of progress; write the first culprit to a file."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--culprit", type=Path, default=Path("culprit.bin"))
-    options = parser.parse_args()
-    rng, sources = random.Random(options.seed), seeds()
-    outcomes: Counter[str] = Counter()
-    start, slowest_s = time.monotonic(), 0.0
-    for done in range(1, options.count + 1):
-        data = mutant(rng.choice(sources), rng)
-        began = time.monotonic()
-        try:
-            outcomes[receive(data)] += 1
-        except Exception as error:  # the boundary: whatever escapes is what this program looks for
-            options.culprit.write_bytes(data)
-            print(f"\n{type(error).__name__}: {error}\nthe message is in {options.culprit}")
-            return 1
-        slowest_s = max(slowest_s, time.monotonic() - began)
-        if done % 5000 == 0 or done == options.count:
-            rate = done / (time.monotonic() - start)
-            sys.stderr.write(f"\r{done}/{options.count}  {rate:.0f} messages/s ")
-            sys.stderr.flush()
-    sys.stderr.write("\n")
-    for outcome, count in outcomes.most_common():
-        print(f"{outcome:20} {count:9} {100 * count / options.count:6.2f} %")
-    print(f"slowest message {1e3 * slowest_s:.1f} ms")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
