@@ -270,6 +270,23 @@ def test_parity_waits_where_a_report_is_quick(one_way_ns: int, parity: int) -> N
     assert path.drone.state().parity > 0
 
 
+def test_a_sender_that_stalls_is_not_asked_twice() -> None:
+    """It gets no core for 40 ms: the NACK that this leads to is answered by the rest alone."""
+    big = [0]
+
+    def count() -> bool:
+        big[0] += 1
+        return False
+
+    path = Path(count)
+    path.send(random.Random(1).randbytes(60_000))
+    path._pump_ns[0] = 40 * MS
+    path.run_until(200 * MS)
+    assert len(path.arrived) == 1
+    nacks = 2
+    assert big[0] <= 52 + 6 + nacks + 1  # data, parity, and the report
+
+
 def test_what_cannot_come_in_time_is_not_sent_again() -> None:
     """A budget shorter than a round trip: the NACK is counted as late."""
     path = Path(losses(0.5))
