@@ -1,6 +1,6 @@
 """How old frames are when they arrive over a bad link: ours beside what one would use instead.
 
-    scripts/bench link [--quick] [--seconds 5] [--repeats 2] [--only A,C] [--contenders udp,tcp]
+    scripts/bench link [--quick] [--seconds 2.5] [--repeats 2] [--only A,C] [--contenders udp,tcp]
                        [--json] [--write docs/results/link.md]
 
 Sender and receiver are processes in two network namespaces with the link emulator between them
@@ -187,10 +187,11 @@ def measure(
         if contender.on_tcp:
             net.congestion_control("a", congestion)
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        with receiving(net.popen("b", command(job), **pipes)) as arrivals:
+        receiver = net.popen("b", command(job), **pipes)
+        sender = net.popen("a", command(replace(job, role="send")), **pipes)  # both load at once
+        with receiving(receiver) as arrivals:
             net.control.reset()
-            sender = net.popen("a", command(replace(job, role="send")), **pipes)
-            told, _ = sender.communicate(timeout=START_S + job.seconds)
+            told, _ = sender.communicate("go\n", timeout=START_S + job.seconds)
             if sender.returncode:
                 raise RuntimeError(f"{contender.name} could not send; its words stand above")
             time.sleep(DRAIN_S)
@@ -220,6 +221,7 @@ def measure_round_trip(contender: str, seconds: float, folder: Path) -> list[flo
     with receiving(subprocess.Popen(command(job), **pipes)):
         done = subprocess.run(
             command(replace(job, role="ask")),
+            input=b"go\n",
             check=True,
             stdout=subprocess.PIPE,
             timeout=START_S + seconds,
@@ -490,13 +492,13 @@ def main() -> int:
     parser.add_argument(
         "--contenders", type=listed, help=f"of {', '.join(c.name for c in CONTENDERS)}"
     )
-    parser.add_argument("--seconds", type=float, help="of each run (5; quick: 2)")
+    parser.add_argument("--seconds", type=float, help="of each run (2.5; quick: 0.8)")
     parser.add_argument("--repeats", type=int, help="of everything (2; quick: 1)")
     parser.add_argument("--quick", action="store_true", help="under two minutes, TCP with cubic")
     parser.add_argument("--json", action="store_true", help="all figures of all runs")
     parser.add_argument("--write", type=Path, help="write the tables to a file, too")
     args = parser.parse_args()
-    args.seconds = args.seconds or (2.0 if args.quick else 5.0)
+    args.seconds = args.seconds or (0.8 if args.quick else 2.5)
     args.repeats = args.repeats or (1 if args.quick else 2)
     why_not = may_make_namespaces()
     if why_not:

@@ -2,7 +2,8 @@
 
 A job is JSON (see ``Job``). The receiving end prints "ready", serves until its stdin closes and
 prints what arrived: a list of [number, t_capture_ns, t_arrival_ns], frames that were whole alone.
-The sending end prints the numbers of the frames that it sent. All stamps are CLOCK_MONOTONIC of one
+The sending end loads what it needs, waits for a line on its stdin, and at its end prints the
+numbers of the frames that it sent. All stamps are CLOCK_MONOTONIC of one
 machine.
 """
 
@@ -18,6 +19,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -303,6 +305,12 @@ def main() -> None:
     job = Job(**json.loads(sys.argv[1]))
     with suppress(OSError):
         os.nice(NICE)
+    if job.contender.startswith("our-"):
+        import_module("tests.perf.bench_link_ours")
+    elif job.contender.startswith("zenoh-"):
+        import_module("zenoh")
+    if job.role in ("send", "ask"):
+        sys.stdin.readline()
     if job.role == "send":
         print(json.dumps(SENDERS[job.contender](job)), flush=True)
     elif job.role == "ask":
