@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import imagecodecs
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +23,14 @@ def encode_color(color_rgb: NDArray[np.uint8], quality: int = DEFAULT_JPEG_QUALI
 def decode_color(data: bytes | memoryview, width: int, height: int) -> NDArray[np.uint8]:
     """Picture (H, W, 3) of a baseline JPEG.
 
-    The codec compares the JPEG's own header with the picture that it is given before it decodes,
-    so a small file that claims a huge picture allocates nothing.
+    The JPEG's own header is compared with that size before the codec sees it, so a small file that
+    claims a huge picture allocates nothing. The codec would compare it as well, but when that fails
+    it never gives back what it has allocated.
 
     Raises:
         DecodeError: BAD_COLOR, not a whole baseline colour JPEG of that size.
     """
-    _check_single_scan(data)
+    _check_frame(data, width, height)
     color_rgb = np.empty((height, width, 3), np.uint8)
     try:
         imagecodecs.jpeg8_decode(bytes(data), out=color_rgb)
@@ -40,10 +43,12 @@ _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
 _BASELINE_FRAME, _SCAN = 0xC0, 0xDA
 _TABLES = frozenset({0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)})
 _MAX_SEGMENTS = 64
+_FRAME = struct.Struct(">BHHB")
+"""Bits a value, height, width, colours."""
 
 
-def _check_single_scan(data: bytes | memoryview) -> None:
-    """Refuse a JPEG that is cut off, progressive, or brings its components in several scans.
+def _check_frame(data: bytes | memoryview, width: int, height: int) -> None:
+    """Refuse a JPEG of another size, cut off, progressive, or of several scans.
 
     Each scan costs the decoder a pass over the whole picture and the sender ten bytes, so 250 kB
     of empty scans can hold a worker for a quarter of a minute.
@@ -61,8 +66,20 @@ def _check_single_scan(data: bytes | memoryview) -> None:
             return
         if marker != _BASELINE_FRAME and marker not in _TABLES:
             break
-        baseline |= marker == _BASELINE_FRAME
+        if marker == _BASELINE_FRAME:
+            baseline = True
+            claim = bytes(view[at + 4 : at + 10])
+            if claim != _FRAME.pack(8, height, width, 3):
+                raise DecodeError(Reject.BAD_COLOR, _mismatch(claim, width, height))
         at += 2 + length
     raise DecodeError(
         Reject.BAD_COLOR, f"byte {at}: not a baseline JPEG with one scan of 3 colours"
     )
+
+
+def _mismatch(claim: bytes, width: int, height: int) -> str:
+    if len(claim) < _FRAME.size:
+        return "a JPEG's frame header that is cut off"
+    bits, has_height, has_width, colors = _FRAME.unpack(claim)
+    what = f"a JPEG of {has_width}x{has_height}, {colors} colours of {bits} bits"
+    return f"{what}, not {width}x{height}, 3 of 8"
