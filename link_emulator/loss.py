@@ -6,18 +6,22 @@ from random import Random
 from typing import Protocol
 
 
+PAUSE_NS = 10_000_000
+"""Without a packet for so long, nothing is remembered: some 50 packet times at 50 Mbit/s."""
+
+
 class Loss(Protocol):
     """Decides about one packet after the other."""
 
-    def lost(self) -> bool:
-        """Whether the next packet is lost."""
+    def lost(self, now_ns: int) -> bool:
+        """Whether the packet that comes now is lost."""
         ...
 
 
 class NoLoss:
     """Nothing is lost."""
 
-    def lost(self) -> bool:
+    def lost(self, now_ns: int) -> bool:
         """Never."""
         return False
 
@@ -29,8 +33,8 @@ class IndependentLoss:
         self._loss = loss
         self._random = rng.random
 
-    def lost(self) -> bool:
-        """Whether the next packet is lost."""
+    def lost(self, now_ns: int) -> bool:
+        """Whether the packet that comes now is lost."""
         return self._random() < self._loss
 
 
@@ -39,6 +43,10 @@ class BurstLoss:
 
     The state moves once a packet. A burst lasts 1/r packets, r the probability of leaving the bad
     state; with q that of entering it the mean loss is q/(q+r).
+
+    A burst is a moment of the radio and not a debt in packets: after a pause the state is drawn
+    anew. Otherwise a sender that waits after each loss, twice as long each time, would sit in one
+    burst for half a minute, which no radio does.
 
     Args:
         loss: mean share that is lost, between 0 and 1.
@@ -50,11 +58,16 @@ class BurstLoss:
         self._leave = 1 / burst
         self._enter = loss / (burst * (1 - loss))
         self._random = rng.random
-        # A link that is met at any time: bad with the probability that it is bad on the whole
-        self._bad = rng.random() < loss
+        self._loss = loss
+        self._bad = False
+        self._last_ns = -PAUSE_NS
 
-    def lost(self) -> bool:
-        """Whether the next packet is lost."""
+    def lost(self, now_ns: int) -> bool:
+        """Whether the packet that comes now is lost."""
+        if now_ns - self._last_ns >= PAUSE_NS:
+            # A link that is met at any time: bad with the probability that it is bad on the whole
+            self._bad = self._random() < self._loss
+        self._last_ns = now_ns
         bad = self._bad
         chance = self._leave if bad else self._enter
         if self._random() < chance:

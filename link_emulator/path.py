@@ -69,7 +69,7 @@ class Path:
         through_ns = self._line.offer(now_ns, size_bytes)
         if through_ns < 0:
             return Drop.QUEUE_FULL
-        if self._loss.lost():
+        if self._loss.lost(now_ns):
             return Drop.LOST
         # Up, so that the rate is never exceeded by a rounding
         release_ns = math.ceil(through_ns) + self._delay_ns

@@ -7,15 +7,15 @@ from random import Random
 
 import pytest
 
-from link_emulator.loss import make_loss
+from link_emulator.loss import PAUSE_NS, make_loss
 
 PACKETS = 200_000
 
 
-def lost(loss: float, burst: float | None, seed: int = 5) -> list[bool]:
-    """What became of many packets."""
+def lost(loss: float, burst: float | None, seed: int = 5, gap_ns: int = PAUSE_NS - 1) -> list[bool]:
+    """What became of many packets, one each so many ns."""
     process = make_loss(loss, burst, Random(seed))
-    return [process.lost() for _ in range(PACKETS)]
+    return [process.lost(n * gap_ns) for n in range(PACKETS)]
 
 
 def bursts(outcome: list[bool]) -> list[int]:
@@ -39,6 +39,14 @@ def test_burst_loss_has_its_mean_and_its_burst_length(loss: float, burst: float)
     lengths = bursts(outcome)
     assert sum(outcome) / PACKETS == pytest.approx(loss, rel=0.15)
     assert sum(lengths) / len(lengths) == pytest.approx(burst, rel=0.1)
+
+
+def test_burst_is_over_after_a_pause() -> None:
+    """Whoever waits after a loss finds the link as anybody would: bad as often as on the whole."""
+    outcome = lost(0.1, 50, gap_ns=PAUSE_NS)
+    after_lost = [b for a, b in zip(outcome, outcome[1:], strict=False) if a]
+    assert sum(outcome) / PACKETS == pytest.approx(0.1, rel=0.1)
+    assert sum(after_lost) / len(after_lost) == pytest.approx(0.1, rel=0.1)
 
 
 def test_no_loss_and_total_loss() -> None:
