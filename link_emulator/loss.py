@@ -5,7 +5,6 @@ from __future__ import annotations
 from random import Random
 from typing import Protocol
 
-
 PAUSE_NS = 10_000_000
 """Without a packet for so long, nothing is remembered: some 50 packet times at 50 Mbit/s."""
 

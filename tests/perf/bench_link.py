@@ -203,7 +203,7 @@ def measure(
         report.release_error_p99_ms,
         report.release_error_max_ms,
         report.marked,
-        sum(number >= first for number in numbers),
+        sum(number >= first for number in numbers | {n for n, *_ in arrivals}),
     )
 
 
