@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import socket
 import time
@@ -19,7 +20,7 @@ from tests.unit.edge_service.edge_fakes import SECOND_NS, message
 KEYS = {f"d{i}": bytes([i]) * 16 + b"0123456789abcdef" for i in range(1, 7)}
 UP = first_byte(Type.UP)
 BUDGET_NS = 60 * SECOND_NS
-_SEQUENCES = count()
+_SEQUENCES = count(os.getpid() % 1000 * 100_000)
 
 
 class Service:
