@@ -2,7 +2,7 @@
 
 Work comes in blocks; a block is all made from ``SEED-NUMBER``, so one that fails is repeated with
 ``--block``. A process writes what it has thrown into shared memory; one that throws nothing for
-``HANG_S`` hangs, also if it does so inside a library where no signal is looked at.
+long hangs, also if it does so inside a library where no signal is looked at.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 HANG_S = 20.0
+"""Of processor time without anything thrown: a busy machine is no hang."""
+STUCK_S = 120.0
+"""Of any time: it waits for what never comes."""
 MAX_GROWTH_BYTES = 96 * 1024 * 1024
 """Of each process after its first blocks: two sessions full of pieces of messages, and what the
 allocator keeps."""
@@ -108,11 +111,13 @@ def run(plan: Plan, unit: str) -> Report:
     """All blocks, on ``processes``; progress to stderr."""
     context = multiprocessing.get_context("spawn")
     counts = context.Array("q", plan.processes, lock=False)
+    blocks = context.Array("q", plan.processes, lock=False)
     results: SimpleQueue[Report] = context.SimpleQueue()
     last = -(-plan.count // plan.block)
     children = [
         context.Process(
-            target=_child, args=(plan, range(i, last, plan.processes), counts, i, results)
+            target=_child,
+            args=(plan, range(i, last, plan.processes), counts, blocks, i, results),
         )
         for i in range(plan.processes)
     ]
@@ -120,19 +125,20 @@ def run(plan: Plan, unit: str) -> Report:
         child.start()
     total, done = Report(), 0
     began_s = time.monotonic()
-    moved = [(0, began_s)] * plan.processes
+    moved = [(0, began_s, 0.0)] * plan.processes
     while done < plan.processes and not total.find:
         while not results.empty():
             total.add(results.get())
             done += 1
         now_s = time.monotonic()
         for i, child in enumerate(children):
+            _, since_s, spent_s = moved[i]
             if counts[i] != moved[i][0] or not child.is_alive():
-                moved[i] = (counts[i], now_s)
-            elif now_s - moved[i][1] > HANG_S + 60 * (counts[i] == 0):
-                total.find = f"process {i} hangs after {counts[i]} {unit}, see --seed and --block"
+                moved[i] = (counts[i], now_s, processor_s(child.pid))
+            elif now_s - since_s > STUCK_S or processor_s(child.pid) - spent_s > HANG_S:
+                total.find = f"process {i} hangs in block {blocks[i]} of seed {plan.seed}"
             if child.exitcode not in (None, 0) and results.empty():
-                total.find = f"process {i} died with {child.exitcode} after {counts[i]} {unit}"
+                total.find = f"process {i} died with {child.exitcode} in block {blocks[i]} of seed {plan.seed}"
         thrown = sum(counts)
         rate_hz = thrown / (now_s - began_s)
         sys.stderr.write(f"\r{thrown}/{plan.count} {unit}, {rate_hz:.0f} a second ")
@@ -160,13 +166,22 @@ def print_report(report: Report, took_s: float, unit: str) -> None:
     )
 
 
+def processor_s(pid: int | None) -> float:
+    """Processor time that a process has spent; 0: it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def resident_bytes() -> int:
     """Memory of this process that is in use."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * resource.getpagesize()
 
 
-def _child(plan: Plan, numbers: range, counts: Any, slot: int, results: Any) -> None:
+def _child(plan: Plan, numbers: range, counts: Any, blocks: Any, slot: int, results: Any) -> None:
     os.nice(NICENESS)
     report, warm_bytes = Report(), 0
 
@@ -174,6 +189,7 @@ def _child(plan: Plan, numbers: range, counts: Any, slot: int, results: Any) -> 
         counts[slot] += thrown
 
     for done, number in enumerate(numbers, start=1):
+        blocks[slot] = number
         if not run_block(plan, number, report, note):
             break
         if not warm_bytes and done >= len(numbers) * WARM_SHARE:
