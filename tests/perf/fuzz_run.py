@@ -136,9 +136,10 @@ def run(plan: Plan, unit: str) -> Report:
             if counts[i] != moved[i][0] or not child.is_alive():
                 moved[i] = (counts[i], now_s, processor_s(child.pid))
             elif now_s - since_s > STUCK_S or processor_s(child.pid) - spent_s > HANG_S:
-                total.find = f"process {i} hangs in block {blocks[i]} of seed {plan.seed}"
+                total.find = f"a hang in block {blocks[i]} of seed {plan.seed}"
             if child.exitcode not in (None, 0) and results.empty():
-                total.find = f"process {i} died with {child.exitcode} in block {blocks[i]} of seed {plan.seed}"
+                where = f"block {blocks[i]} of seed {plan.seed}"
+                total.find = f"died with {child.exitcode} in {where}"
         thrown = sum(counts)
         rate_hz = thrown / (now_s - began_s)
         sys.stderr.write(f"\r{thrown}/{plan.count} {unit}, {rate_hz:.0f} a second ")
