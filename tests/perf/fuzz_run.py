@@ -24,7 +24,7 @@ HANG_S = 20.0
 """Of processor time without anything thrown: a busy machine is no hang."""
 STUCK_S = 120.0
 """Of any time: it waits for what never comes."""
-MAX_GROWTH_BYTES = 96 * 1024 * 1024
+MAX_GROWTH_BYTES = 48 * 1024 * 1024
 """Of each process after its first blocks: two sessions full of pieces of messages, and what the
 allocator keeps."""
 WARM_SHARE = 0.1
