@@ -25,6 +25,7 @@ from rgbd_wire.tunnel.handshake import (
     pack_cookie,
     pack_hello,
 )
+from rgbd_wire.tunnel.inner import Nack, Ping, Report, pack_word
 from rgbd_wire.tunnel.packet import MAX_PACKET_NUMBER
 from rgbd_wire.tunnel.seal import Cipher
 from rgbd_wire.tunnel.shards import MAX_SYMBOLS, SHARD_HEAD, SYMBOL_BYTES, Outgoing
@@ -275,20 +276,20 @@ def true_shards(rng: random.Random) -> list[bytes]:
 
 def word(rng: random.Random) -> bytes:
     """A word of the tunnel, mutated, or one with numbers of its own."""
+    few, many = (0, 1, 9, 5000), 65_535
     match rng.randrange(6):
         case 0:
             number = rng.choice((0, 1, make.MESSAGE_ID, rng.randrange(64)))
-            wanted = rng.choice((1, 9, 65_535))
-            return struct.pack("<IBH", 2 | number << 8, rng.choice((1, 2)), wanted)
+            wanted, expected = rng.choice((1, 9, many)), rng.choice((*few, many))
+            return pack_word(Nack(number, rng.choice((1, 2)), wanted, expected))
         case 1:
-            lost, got = rng.choice((0, 1, 65_535)), rng.choice((0, 5, 65_535))
-            bytes_, us = rng.choice((0, 4000, 2**32 - 1)), rng.choice((0, 1, 4000, 2**32 - 1))
-            return struct.pack("<IBHHII", 3 | rng.randrange(64) << 8, 1, got, lost, bytes_, us)
+            lost, got = rng.choice((*few, many)), rng.choice((*few, many))
+            size, us = (rng.choice((*few, 2**32 - 1)) for _ in range(2))
+            return pack_word(Report(rng.randrange(64), rng.random() < 0.8, got, lost, size, us))
         case 2:
             stamp, srtt = rng.choice((0, 1, 10**9, 2**64 - 1)), rng.choice((0, 1, 2**32 - 1))
-            numbers = rng.choice((0, 1, 5000, 2**40 - 1)), rng.choice((0, 1, 5000, 2**40 - 1))
-            both = b"".join(n.to_bytes(5, "little") for n in numbers)
-            return struct.pack("<BQI", rng.choice((5, 6)), stamp, srtt) + both
+            newest, came = (rng.choice((*few, 2**40 - 1)) for _ in range(2))
+            return pack_word(Ping(rng.random() < 0.5, stamp, srtt, newest, came))
     return mutant(rng.choice(WORDS), rng)
 
 
