@@ -480,9 +480,10 @@ Age is from capture to the last byte at the worker, of what arrived; shares are 
 captured. Frames of {WARM_UP_S:g} s are left out at the start, {args.seconds:g} s count; runs of
 each: {args.repeats}, their median stands here with the range in brackets. The queue in front of
 the emulated rate holds {QUEUE_MS:g} ms; rate and loss hold in both directions. * marks runs in
-which the emulator was later than 0.3 ms at p99 (the worst in brackets): their times are not to be trusted. Baselines send
-each frame at its time (bare UDP: 1200-byte datagrams, no parity, all at once; plain Zenoh: one
-put a frame, no ack clock). Ours are the drone's uplink and the worker's transports as they fly.
+which the emulator was later than 0.3 ms at p99 (the worst in brackets): their times are not to be
+trusted. Baselines send each frame at its time (bare UDP: 1200-byte datagrams, no parity, all at
+once; plain Zenoh: one put a frame, no ack clock). Ours are the drone's uplink and the worker's
+transports as they fly.
 
 {text}
 """
