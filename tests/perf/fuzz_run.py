@@ -195,7 +195,7 @@ def _child(plan: Plan, numbers: range, counts: Any, blocks: Any, slot: int, resu
             break
         if not warm_bytes and done >= len(numbers) * WARM_SHARE:
             warm_bytes = resident_bytes()
-    report.growth_bytes = max(0, resident_bytes() - warm_bytes)
+    report.growth_bytes = max(0, resident_bytes() - warm_bytes) if warm_bytes else 0
     report.peak_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     if report.growth_bytes > MAX_GROWTH_BYTES and not report.find:
         report.find = f"{report.growth_bytes} bytes more memory"
