@@ -57,7 +57,11 @@ class Departures:
         self._lead_ns = max(MIN_LEAD_NS, round(LEAD_SHARE * serialisation_ns))
 
     def release(self, sequence: int, now_ns: int, round_trip_ns: int) -> bool:
-        """An ack came: free the frame's slot, and set the prediction right.
+        """An ack came: free the frame's slot and all older ones, and set the prediction right.
+
+        Frames reach a worker in the order in which they left, and one that is repaired late is
+        dropped for a newer one that is whole. So an older frame without an ack is lost, or its ack
+        is: waiting for a time-out would only hold its slot.
 
         Args:
             sequence: the frame's.
@@ -71,6 +75,8 @@ class Departures:
         if not self._acks.release(sequence):
             return False
         del self._serialisation_ns[sequence]
+        for older in [s for s in self._serialisation_ns if s < sequence]:
+            self.forget(older)
         self._free_ns = now_ns - round_trip_ns + sum(self._serialisation_ns.values())
         return True
 

@@ -34,6 +34,8 @@ class SentFrames:
         self._capacity = capacity
         self._frames: OrderedDict[int, _Frame] = OrderedDict()
         self._last_accepted_capture_ns: int | None = None
+        self._boot_ids: dict[str, int] = {}
+        """Of each worker, the start that acknowledged a frame last."""
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -49,10 +51,15 @@ class SentFrames:
             self._frames.popitem(last=False)
 
     def acknowledge(self, sequence: int, worker: str, worker_boot_id: int) -> bool:
-        """Note who acknowledged a frame; the first one stands. False: not a frame of ours."""
+        """Note who acknowledged a frame; the first one stands. False: not a frame of ours.
+
+        A result whose own ack was lost is taken as one if the same start of the worker
+        acknowledged another frame last.
+        """
         frame = self._frames.get(sequence)
         if frame is None or (sent := frame.copies.get(worker)) is None:
             return False
+        self._boot_ids[worker] = worker_boot_id
         if sent.acknowledged_by is None:
             frame.copies[worker] = replace(sent, acknowledged_by=worker_boot_id)
         return True
@@ -65,6 +72,8 @@ class SentFrames:
         sent = frame.copies.get(stamps.worker)
         if sent is None:
             return Judgement(Verdict.WRONG_WORKER)
+        if sent.acknowledged_by is None:
+            sent = replace(sent, acknowledged_by=self._boot_ids.get(stamps.worker))
         judgement = judge(
             stamps,
             sent,

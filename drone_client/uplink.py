@@ -142,9 +142,10 @@ class Uplink:
         with self._changed:
             self._watch.heard(sequence, worker, t_ns)
             round_trip_ns = self._watch.round_trip_ns(worker)
-            sent = self._sent.pop(sequence, None)
+            sent = self._sent.get(sequence)
             if self._departures.release(sequence, t_ns, round_trip_ns) and sent is not None:
                 self._goodput.acked(*sent, t_ns, round_trip_ns)
+                self._sent = {s: told for s, told in self._sent.items() if s > sequence}
         self.wake()
 
     def answered(self, reception: Reception) -> None:

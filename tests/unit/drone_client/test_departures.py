@@ -108,6 +108,17 @@ def test_encoding_time_is_taken_off_the_wait():
     assert departures.wait_ns(0, preparation_ns=6 * MS) == 39 * MS
 
 
+def test_an_ack_frees_the_older_slots_as_well():
+    """An ack that was lost holds up nothing: the next one says that the link got so far."""
+    departures = Departures(3, 10**12)
+    for sequence in (1, 2, 3):
+        departures.send(sequence, sequence, 50 * MS)
+    assert departures.release(2, 120 * MS, 0)
+    assert departures.in_flight == 1
+    assert departures.wait_ns(120 * MS) == 45 * MS  # frame 3 is in the link now
+    assert not departures.release(1, 121 * MS, 0)
+
+
 @pytest.mark.parametrize("sequence", [7, -1])
 def test_an_ack_of_what_is_not_under_way_frees_nothing(sequence):
     """Late, repeated or made up."""

@@ -205,6 +205,18 @@ def test_a_forged_result_does_not_use_up_the_frame():
     assert gate.judge(7, GOOD).verdict is Verdict.DUPLICATE
 
 
+def test_a_result_whose_ack_was_lost_counts_if_that_start_acknowledged_another_frame():
+    """One lost datagram costs no measurement; another start of the worker still has to ack."""
+    later = replace(SENT, sequence=8, t_capture_ns=SENT.t_capture_ns + 33 * MS)
+    for boot_id, verdict in ((42, Verdict.ACCEPTED), (99, Verdict.WRONG_WORKER)):
+        gate = SentFrames(SETTINGS)
+        for sent in (SENT, later):
+            gate.add(replace(sent, acknowledged_by=None))
+        assert gate.acknowledge(7, "w1", boot_id)
+        unacknowledged = replace(GOOD, t_capture_ns=later.t_capture_ns)
+        assert gate.judge(8, unacknowledged).verdict is verdict
+
+
 def test_the_first_acknowledgement_stands_and_only_from_the_worker_that_was_asked():
     """A restarted worker's late ack cannot take over a frame that another start acknowledged."""
     gate = SentFrames(SETTINGS)
