@@ -334,13 +334,13 @@ def next_steps(order: Order) -> str:
     return "\n".join(lines)
 
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 @app.command(
     no_args_is_help=True,
-    epilog="Example: `scripts/certificates certs --drones drone-1,drone-2 --workers worker-a "
-    "--hosts edge.example,192.0.2.7 --tunnel-keys`",
+    epilog="Example: scripts/certificates certs --drones drone-1,drone-2 --workers worker-a "
+    "--hosts edge.example,192.0.2.7 --tunnel-keys",
 )
 def certificates(
     folder: Annotated[Path, typer.Argument(help="where one folder for each end is made")],
@@ -368,7 +368,7 @@ def certificates(
     """Make an authority, certificates and keys for drones and workers.
 
     Run it again to add an end: the authority in FOLDER signs again, and what others have stays
-    valid. Keep `FOLDER/authority` on this machine; give each end its own folder alone.
+    valid. Keep FOLDER/authority on this machine; give each end its own folder alone.
     """
     order = Order(
         folder, _split(drones), _split(workers), _split(hosts), days, tunnel_keys, overwrite

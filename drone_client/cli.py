@@ -42,7 +42,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
-    rich_markup_mode="markdown",  # lines flow, and [ms] is text
+    rich_markup_mode=None,  # at 80 columns its tables cut the names of flags
     epilog="Every setting can come from the environment: "
     + ", ".join(known_name(field) for field in ClientSettings.model_fields),
 )

@@ -249,7 +249,9 @@ def load_test(
 def main() -> None:
     """Run the command; a user's mistake ends in one line and exit code 2."""
     app = typer.Typer(
-        pretty_exceptions_enable=False, add_completion=False, rich_markup_mode="markdown"
+        pretty_exceptions_enable=False,
+        add_completion=False,
+        rich_markup_mode=None,  # as drone-client: no flag is cut on a narrow terminal
     )
     app.command(no_args_is_help=False)(load_test)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line is ours

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.server
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import typer
 
 from drone_client import cli
 from drone_client.settings import ClientSettings, known_name
@@ -132,6 +134,19 @@ def test_help_of_replay_has_units_defaults_and_an_example(command):
     assert "d1+d2 [ms] (default: 250.0)" in words
     assert "(default: tcp/127.0.0.1:7447)" in words
     assert "--no-as-fast-as-possible" not in words
+
+
+@pytest.mark.parametrize("name", ["replay", "snap"])
+def test_every_flag_can_be_read_at_80_columns(command, monkeypatch, name):
+    """None is cut short, and no line is longer than the terminal."""
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = command(name, "--help")
+    assert code == 0
+    group = typer.main.get_command(cli.app)
+    flags = [o for p in group.commands[name].params for o in (*p.opts, *p.secondary_opts)]
+    for flag in flags:
+        assert re.search(rf"(?m)(^| ){re.escape(flag)}( |$)", out), flag
+    assert max(map(len, out.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(

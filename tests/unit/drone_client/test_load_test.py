@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import sys
@@ -84,6 +85,17 @@ def test_a_table_is_what_people_get(command, worker):
     assert code == 0
     for word in ("load test", "round_trip_ms", "p99", "frames_sent", "verdicts"):
         assert word in out
+
+
+def test_every_flag_can_be_read_at_80_columns(command, monkeypatch):
+    """None is cut short, and no line is longer than the terminal."""
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = command("--help")
+    assert code == 0
+    for name in inspect.signature(load_test.load_test).parameters:
+        flag = "--json" if name == "as_json" else f"--{name.replace('_', '-')}"
+        assert f"  {flag} " in out
+    assert max(map(len, out.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(

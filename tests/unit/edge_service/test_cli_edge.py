@@ -9,9 +9,10 @@ import sys
 
 import imagecodecs
 import pytest
+from typer.main import get_command
 
 from edge_service import parts
-from edge_service.cli import main
+from edge_service.cli import app, main
 from edge_service.detector.net import NetConfig, TargetNet
 from edge_service.detector.weights import save_weights
 from edge_service.settings import EdgeSettings
@@ -136,6 +137,17 @@ def test_help_has_an_example(run, arguments, words):
     assert code == 0
     for word in words:
         assert word in out
+
+
+@pytest.mark.parametrize("command", ["serve", "localize"])
+def test_every_flag_can_be_read_at_80_columns(run, monkeypatch, command):
+    """None is cut short, and no line is longer than the terminal."""
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = run(command, "--help")
+    assert code == 0
+    for flag in (o for p in get_command(app).commands[command].params for o in p.opts):
+        assert re.search(rf"(?m)(^| ){re.escape(flag)}( |$)", out), flag
+    assert max(map(len, out.splitlines())) <= 80
 
 
 def test_a_missing_extra_is_one_line(run, files, monkeypatch):
