@@ -26,6 +26,8 @@ class Departures:
         self._acks = AckClock(window, timeout_ns)
         self._serialisation_ns: dict[int, int] = {}
         """Predicted for each frame under way, oldest first."""
+        self._workers: dict[int, str] = {}
+        """Whom each of them went to."""
         self._free_ns = 0
         """A frame sent at this time would meet a link that has just become free: the link's
         future, shifted back by the way to it."""
@@ -49,15 +51,16 @@ class Departures:
             return 0
         return max(0, self._free_ns - self._lead_ns - preparation_ns - now_ns)
 
-    def send(self, sequence: int, now_ns: int, serialisation_ns: int) -> None:
+    def send(self, sequence: int, worker: str, now_ns: int, serialisation_ns: int) -> None:
         """A frame leaves; the link is predicted to be busy with it for so long."""
         self._acks.send(sequence, now_ns)
+        self._workers[sequence] = worker
         self._serialisation_ns[sequence] = serialisation_ns
         self._free_ns = max(self._free_ns, now_ns) + serialisation_ns
         self._lead_ns = max(MIN_LEAD_NS, round(LEAD_SHARE * serialisation_ns))
 
     def release(self, sequence: int, now_ns: int, round_trip_ns: int) -> bool:
-        """An ack came: free the frame's slot and all older ones, and set the prediction right.
+        """An ack came: free the frame's slot and its worker's older ones; set the prediction right.
 
         Frames reach a worker in the order in which they left, and one that is repaired late is
         dropped for a newer one that is whole. So an older frame without an ack is lost, or its ack
@@ -75,7 +78,8 @@ class Departures:
         if not self._acks.release(sequence):
             return False
         del self._serialisation_ns[sequence]
-        for older in [s for s in self._serialisation_ns if s < sequence]:
+        worker = self._workers.pop(sequence)
+        for older in [s for s, w in self._workers.items() if s < sequence and w == worker]:
             self.forget(older)
         self._free_ns = now_ns - round_trip_ns + sum(self._serialisation_ns.values())
         return True
@@ -83,11 +87,11 @@ class Departures:
     def forget(self, sequence: int) -> None:
         """A frame will not be acknowledged, and whoever has it is no more: free its slot."""
         if self._acks.release(sequence):
-            del self._serialisation_ns[sequence]
+            del self._serialisation_ns[sequence], self._workers[sequence]
 
     def expire(self, now_ns: int) -> tuple[int, ...]:
         """Free the slots whose frames were never acknowledged in time, and name them."""
         late = self._acks.expire(now_ns)
         for sequence in late:
-            del self._serialisation_ns[sequence]
+            del self._serialisation_ns[sequence], self._workers[sequence]
         return late

@@ -8,6 +8,7 @@ sample is a lower bound, and large.
 
 Two windows: the median of the last three samples follows a fall within three frames, and the
 estimate rises only with the median of the last seven, so that one lucky ack does not fill a queue.
+A frame that times out is an upper bound, taken at once and kept until the next ack.
 
 Pure: no clock, no thread.
 """
@@ -31,10 +32,14 @@ class Goodput:
     def __init__(self) -> None:
         self._samples: deque[float] = deque(maxlen=RISE_SAMPLES)
         self._last_ack_ns: int | None = None
+        self._ceiling: float | None = None
+        """The link carries no more than this, by a frame that timed out since the last ack."""
 
     @property
     def bytes_per_s(self) -> float | None:
-        """The estimate; None before the first ack."""
+        """The estimate; None before the first ack or time-out."""
+        if self._ceiling is not None:
+            return self._ceiling
         if not self._samples:
             return None
         lately = median(list(self._samples)[-FALL_SAMPLES:])
@@ -54,4 +59,23 @@ class Goodput:
         if last_ns is not None:
             begun_ns = max(begun_ns, last_ns)
         busy_ns = max(SHORTEST_NS, t_ack_ns - begun_ns)
+        if self._ceiling is not None:
+            self._samples.clear()  # they are of a link that is no more
+            self._ceiling = None
         self._samples.append(min(size_bytes * 1e9 / busy_ns, LARGEST_BYTES_PER_S))
+
+    def timed_out(self, size_bytes: int, t1_ns: int, now_ns: int) -> None:
+        """A frame was not acknowledged in time: silence, too, says how slow the link is.
+
+        Without this, a link that became so slow that no ack comes in time would be thought to be
+        as fast as it last was, for ever.
+
+        Args:
+            size_bytes: of the whole message.
+            t1_ns: when it was handed to the link, drone's clock.
+            now_ns: drone's clock.
+        """
+        begun_ns = t1_ns if self._last_ack_ns is None else max(t1_ns, self._last_ack_ns)
+        bound = size_bytes * 1e9 / max(SHORTEST_NS, now_ns - begun_ns)
+        known = self.bytes_per_s
+        self._ceiling = min(bound, LARGEST_BYTES_PER_S if known is None else known)

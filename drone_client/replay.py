@@ -157,6 +157,7 @@ def replay(
         stop.set()
         link_at_end = link_summary(link)  # before it is closed, and knows nobody any more
         standings = flight.uplink.standings()
+        same_name = flight.uplink.same_name_workers
         flight.stop()
     frames = read_lines(options.out / LEDGER_NAME)
     ticks = read_lines(options.out / TICKS_NAME)
@@ -170,6 +171,7 @@ def replay(
         "interrupted": interrupted,
         **summarise(frames, ticks, events, options.truth),
         "standings": standings,
+        "same_name_workers": same_name,
         "link": link_at_end,
         "rejected_messages": {r.value: n for r, n in flight.receiver.rejects.items()},
         "foreign_messages": flight.receiver.foreign,

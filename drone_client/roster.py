@@ -1,7 +1,8 @@
 """What a drone knows of its workers, and which of them it goes to.
 
 A worker is left when it is gone (its token or session is down), when it drains, or when it is
-suspect: several replies in a row missed, or frames acknowledged and never answered. A lease would
+suspect: several replies in a row missed, frames acknowledged and never answered, or answers that
+turn frames away; and one that is full is not gone to. A lease would
 notice a hung worker or a black hole after seconds; replies are due every few tens of milliseconds,
 so missing ones tell within a few hundred (docs/freshness.md). A suspect is still probed, and
 trusted again after several replies in a row.
@@ -19,6 +20,7 @@ from enum import StrEnum
 from drone_client.worker_choice import ranked
 from rgbd_wire.messages import Status
 
+REMEMBERED_STARTS = 8
 DEFAULT_ROUND_TRIP_NS = 20_000_000
 """Of a worker that was not measured yet: neither the best nor the worst."""
 
@@ -31,6 +33,8 @@ class Standing(StrEnum):
     """About to stop, by its own word."""
     SUSPECT = "suspect"
     """Alive as far as the link knows, but it does not answer."""
+    FULL = "full"
+    """It has as many drones as it may, and this one is not among them."""
     GONE = "gone"
 
 
@@ -43,8 +47,8 @@ class RosterSettings:
     replies: int = 3
     """Replies in a row that clear it."""
     result_cooldown_ns: int = 5_000_000_000
-    """A worker that acknowledges but never answers is not asked for so long: its echoes say
-    nothing of the part that hangs."""
+    """A worker that acknowledges but never answers, or turns frames away, is not asked for so
+    long: its echoes say nothing of that."""
     better_ratio: float = 1.5
     """A worker that works is left for one whose expected delay is so many times smaller ..."""
     better_by_ns: int = 10_000_000
@@ -57,9 +61,11 @@ class RosterSettings:
 class _Worker:
     __slots__ = (
         "boot_id",
+        "boot_ids",
         "draining",
         "missed",
         "overdue",
+        "refused",
         "replied",
         "round_trip_ns",
         "silent_since_ns",
@@ -68,7 +74,9 @@ class _Worker:
         "until_ns",
     )
 
-    def __init__(self) -> None:
+    def __init__(self, boot_ids: tuple[int, ...] = ()) -> None:
+        self.boot_ids = boot_ids
+        """Of the starts that were heard of, the newest last."""
         self.draining = False
         self.suspect = False
         self.until_ns = 0
@@ -77,6 +85,8 @@ class _Worker:
         """Replies missed since the last one that came."""
         self.overdue = 0
         """Frames it acknowledged and left without a result since the last result."""
+        self.refused = 0
+        """Answers in a row that turned a frame away."""
         self.replied = 0
         """Replies since it became suspect, in a row."""
         self.silent_since_ns = 0
@@ -94,6 +104,7 @@ class Roster:
         self._settings = settings or RosterSettings()
         self._workers: dict[str, _Worker] = {}
         self._current: str | None = None
+        self._same_name: set[str] = set()
         self._better_since_ns: int | None = None
         digest = hashlib.blake2b(drone.encode(), digest_size=8).digest()
         self._patience_ns = self._settings.better_for_ns + (
@@ -104,6 +115,11 @@ class Roster:
     def current(self) -> str | None:
         """The worker chosen last."""
         return self._current
+
+    @property
+    def same_name(self) -> list[str]:
+        """Names under which two workers say how they are; each takes the other's frames."""
+        return sorted(self._same_name)
 
     def see(self, live: Collection[str]) -> None:
         """Take over who is alive as far as the link knows; one that comes back starts afresh."""
@@ -119,7 +135,10 @@ class Roster:
             return Standing.GONE
         if w.draining:
             return Standing.DRAINING
-        return Standing.SUSPECT if w.suspect else Standing.WILLING
+        if w.suspect:
+            return Standing.SUSPECT
+        full = w.status is not None and w.status.drones >= w.status.max_drones
+        return Standing.FULL if full and worker != self._current else Standing.WILLING
 
     def standings(self) -> dict[str, str]:
         """All of them, for people to read."""
@@ -137,12 +156,23 @@ class Roster:
         w.replied += 1
         if w.replied >= self._settings.replies and now_ns >= w.until_ns:
             w.suspect = False
-            w.overdue = 0
+            w.overdue = w.refused = 0
 
     def answered(self, worker: str) -> None:
-        """A result came: the part that looks at pictures runs."""
+        """A result came that turned nothing away: the part that looks at pictures runs."""
         if (w := self._workers.get(worker)) is not None:
-            w.overdue = 0
+            w.overdue = w.refused = 0
+
+    def refused(self, worker: str, now_ns: int) -> bool:
+        """A result turned a frame away; True: that made the worker suspect."""
+        if (w := self._workers.get(worker)) is None:
+            return False
+        w.overdue = 0
+        w.refused += 1
+        if w.suspect or w.refused < self._settings.misses:
+            return False
+        self._distrust(w, now_ns)
+        return True
 
     def missed(self, worker: str, due_ns: int) -> bool:
         """A reply that was due did not come; True: that made the worker suspect."""
@@ -164,16 +194,23 @@ class Roster:
         w.overdue += 1
         if w.suspect or w.overdue < self._settings.misses:
             return False
-        w.suspect, w.replied = True, 0
-        w.until_ns = now_ns + self._settings.result_cooldown_ns
+        self._distrust(w, now_ns)
         return True
 
     def take_status(self, status: Status) -> None:
         """A worker says how it is. It is no reply: a black hole on the way up lets it through."""
         if (w := self._workers.get(status.worker)) is None:
             return
-        if w.boot_id is not None and w.boot_id != status.worker_boot_id:
-            w = self._workers[status.worker] = _Worker()  # started anew: another one
+        if w.boot_id != status.worker_boot_id:
+            if status.worker_boot_id in w.boot_ids:
+                # No worker goes back to an earlier start: there are two of that name
+                self._same_name.add(status.worker)
+            else:
+                known = (*w.boot_ids, status.worker_boot_id)[-REMEMBERED_STARTS:]
+                # Another start is another worker; of the first one heard of, it is known already
+                w = _Worker(known) if w.boot_id is not None else w
+                w.boot_ids = known
+                self._workers[status.worker] = w
         w.boot_id = status.worker_boot_id
         w.status = status
         w.draining = status.draining
@@ -197,7 +234,7 @@ class Roster:
 
         The current one as long as it is willing and no other is much better for long: a change of
         worker costs frames. A suspect is asked only where there is no other, the one heard of
-        last first; a draining one when there is nobody else at all.
+        last first; a full or a draining one when there is nobody else at all.
         """
         willing = self._with(Standing.WILLING)
         if self._current not in willing:
@@ -219,6 +256,10 @@ class Roster:
         """Whom a second copy would go to: the best willing one but the current; None: nobody."""
         return self._best([w for w in self._with(Standing.WILLING) if w != self._current])
 
+    def _distrust(self, w: _Worker, now_ns: int) -> None:
+        w.suspect, w.replied = True, 0
+        w.until_ns = now_ns + self._settings.result_cooldown_ns
+
     def _with(self, standing: Standing) -> list[str]:
         return [name for name in self._workers if self.standing(name) is standing]
 
@@ -229,7 +270,9 @@ class Roster:
     def _least_suspect(self) -> str | None:
         suspects = self._with(Standing.SUSPECT)
         if not suspects:
-            return self._best(self._with(Standing.DRAINING))
+            return self._best(self._with(Standing.FULL)) or self._best(
+                self._with(Standing.DRAINING)
+            )
 
         def heard_last(name: str) -> tuple[int, bool, str]:
             return self._workers[name].silent_since_ns, name == self._current, name

@@ -30,6 +30,8 @@ from rgbd_wire.probe import Probe, seal_probe
 
 logger = logging.getLogger(__name__)
 
+REMEMBERED_FRAMES = 32
+"""Whose ack still tells something when it comes late."""
 TICK_S = 0.005
 """How often the watch looks, with nothing else to do: a fraction of what it has to notice."""
 
@@ -91,7 +93,7 @@ class Uplink:
         self._departures = Departures(settings.window, settings.ack_timeout_ns)
         self._goodput = Goodput()
         self._sent: dict[int, tuple[int, int]] = {}
-        """Bytes and t1 of each frame that holds a slot."""
+        """Bytes and t1 of the frames that were not acknowledged, the oldest first."""
         self._watch = WorkerWatch(
             settings.drone, settings.boot_id, settings.age_max_ns, hedge=settings.hedge
         )
@@ -110,6 +112,12 @@ class Uplink:
         """What this drone thinks of its workers."""
         with self._changed:
             return self._watch.standings()
+
+    @property
+    def same_name_workers(self) -> list[str]:
+        """Names under which two workers are there at once."""
+        with self._changed:
+            return self._watch.same_name
 
     @property
     def goodput_bytes_per_s(self) -> float | None:
@@ -142,10 +150,11 @@ class Uplink:
         with self._changed:
             self._watch.heard(sequence, worker, t_ns)
             round_trip_ns = self._watch.round_trip_ns(worker)
-            sent = self._sent.get(sequence)
-            if self._departures.release(sequence, t_ns, round_trip_ns) and sent is not None:
+            self._departures.release(sequence, t_ns, round_trip_ns)
+            # Also when its slot was freed by force: that ack tells best how slow the link is
+            sent = self._sent.pop(sequence, None)
+            if sent is not None:
                 self._goodput.acked(*sent, t_ns, round_trip_ns)
-                self._sent = {s: told for s, told in self._sent.items() if s > sequence}
         self.wake()
 
     def answered(self, reception: Reception) -> None:
@@ -156,7 +165,7 @@ class Uplink:
                 result.sequence,
                 result.worker,
                 reception.t4_ns,
-                looked_at=result.outcome.looked_at,
+                result.outcome,
                 settled=reception.settles,
             )
             if result.draining:
@@ -222,9 +231,12 @@ class Uplink:
         with self._changed:
             expired = self._departures.expire(now_ns)
             actions = self._watch.tick(now_ns, live)
-            for sequence in (*expired, *actions.lost):
+            for sequence in expired:
+                if (sent := self._sent.get(sequence)) is not None:
+                    self._goodput.timed_out(*sent, now_ns)
+            for sequence in actions.lost:
                 self._departures.forget(sequence)
-                self._sent.pop(sequence, None)
+                self._sent.pop(sequence, None)  # the worker is at fault, not the link
         for sequence in expired:
             self._ledger.event(now_ns, "ack_timeout", sequence=sequence)
         for name, details in actions.events:
@@ -276,8 +288,10 @@ class Uplink:
         )
         self._ledger.sent(captured.sequence, t1_ns, worker, len(message), choice.record())
         with self._changed:
-            self._departures.send(captured.sequence, t1_ns, serialisation_ns)
+            self._departures.send(captured.sequence, worker, t1_ns, serialisation_ns)
             self._sent[captured.sequence] = len(message), t1_ns
+            while len(self._sent) > REMEMBERED_FRAMES:
+                del self._sent[next(iter(self._sent))]
             self._watch.sent(sent)
         self._log.sending(SentFrame(captured.sequence, frame.t_capture_ns, t1_ns, worker))
         self._link.send(worker, message, budget_ns)

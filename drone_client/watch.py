@@ -18,11 +18,15 @@ from drone_client.clock_offset import OffsetEstimate
 from drone_client.prober import Prober
 from drone_client.roster import Roster, Standing
 from drone_client.under_way import FramesUnderWay, UnderWay
-from rgbd_wire.messages import Status
+from rgbd_wire.messages import Outcome, Status
 from rgbd_wire.probe import Probe
 
 MIN_ACK_WAIT_NS = 60_000_000
 """An ack is never called missing earlier: what a busy machine may take."""
+
+
+_NO_HELP = frozenset({Outcome.OVERLOADED, Outcome.FAILED, Outcome.DROPPED})
+"""Answers that come fast and say nothing: another worker may do better."""
 
 
 class Why(StrEnum):
@@ -92,8 +96,10 @@ class WorkerWatch:
         self._roster.see(live)
         worker = self._roster.choose(now_ns)
         if worker != self._worker:
+            why = None if self._worker is None else self._roster.standing(self._worker).value
             details = {"before": self._worker, "now": worker, "live": sorted(live)}
-            self._events.append(("worker", details | {"standings": self.standings()}))
+            # One that is still willing was left for a much better one
+            self._events.append(("worker", details | {"why": why, "standings": self.standings()}))
             self._worker = worker
         return worker
 
@@ -105,23 +111,33 @@ class WorkerWatch:
         """An ack or a result came."""
         frame = self._frames.get(sequence)
         round_trip_ns = None
-        if frame is not None and frame.acked_by is None:
+        if frame is not None and frame.acked_by is None and worker == frame.workers[-1]:
             frame.acked_by = worker
             if not frame.has_copy:
                 round_trip_ns = t_ns - frame.t1_ns
         self._roster.replied(worker, t_ns, round_trip_ns)
 
     def answered(
-        self, sequence: int, worker: str, t4_ns: int, *, looked_at: bool, settled: bool
+        self, sequence: int, worker: str, t4_ns: int, outcome: Outcome, *, settled: bool
     ) -> None:
         """A result came, after ``heard``."""
-        self._roster.answered(worker)
+        if outcome in _NO_HELP:
+            if self._roster.refused(worker, t4_ns):
+                details = {"worker": worker, "why": f"{outcome.value}, again and again"}
+                self._events.append(("suspect", details))
+        else:
+            self._roster.answered(worker)
         if settled:
-            self._frames.answered(sequence, t4_ns, looked_at=looked_at)
+            self._frames.answered(sequence, t4_ns, looked_at=outcome.looked_at)
 
     def drains(self, worker: str) -> None:
         """A result says that its worker is about to stop."""
         self._roster.drains(worker)
+
+    @property
+    def same_name(self) -> list[str]:
+        """Names under which two workers are there at once."""
+        return self._roster.same_name
 
     def echo(self, probe: Probe, t4_ns: int) -> None:
         """A probe came back."""

@@ -39,7 +39,7 @@ def fly(serialisation_ns, delay_ns, period_ns, window=2, frames=120, predicted=1
             continue
         sequence, captured_ns = waiting
         waiting = None
-        departures.send(sequence, now_ns, round(predicted * serialisation_ns))
+        departures.send(sequence, "w1", now_ns, round(predicted * serialisation_ns))
         start_ns = max(link_free_ns, now_ns + delay_ns)
         queued.append(start_ns - now_ns - delay_ns)
         link_free_ns = start_ns + serialisation_ns
@@ -92,9 +92,9 @@ def test_a_link_that_is_fast_enough_loses_no_frame(s_ns):
 def test_without_a_prediction_the_window_alone_decides():
     """Serialisation 0: the second frame goes at once, the third waits for an ack."""
     departures = Departures(2, 500)
-    departures.send(1, 0, 0)
+    departures.send(1, "w1", 0, 0)
     assert departures.wait_ns(0) == 0
-    departures.send(2, 0, 0)
+    departures.send(2, "w1", 0, 0)
     assert departures.wait_ns(0) is None
     assert departures.expire(500) == (1, 2)
     assert departures.wait_ns(500) == 0
@@ -103,7 +103,7 @@ def test_without_a_prediction_the_window_alone_decides():
 def test_encoding_time_is_taken_off_the_wait():
     """The frame is taken, encoded, and leaves just in time."""
     departures = Departures(2, 10**12)
-    departures.send(1, 0, 50 * MS)
+    departures.send(1, "w1", 0, 50 * MS)
     assert departures.wait_ns(0) == 45 * MS
     assert departures.wait_ns(0, preparation_ns=6 * MS) == 39 * MS
 
@@ -112,17 +112,26 @@ def test_an_ack_frees_the_older_slots_as_well():
     """An ack that was lost holds up nothing: the next one says that the link got so far."""
     departures = Departures(3, 10**12)
     for sequence in (1, 2, 3):
-        departures.send(sequence, sequence, 50 * MS)
+        departures.send(sequence, "w1", sequence, 50 * MS)
     assert departures.release(2, 120 * MS, 0)
     assert departures.in_flight == 1
     assert departures.wait_ns(120 * MS) == 45 * MS  # frame 3 is in the link now
     assert not departures.release(1, 121 * MS, 0)
 
 
+def test_an_ack_of_one_worker_says_nothing_of_another_one_s_frames():
+    """Frame 1 is still on its way to the worker that was left."""
+    departures = Departures(3, 10**12)
+    departures.send(1, "w1", 0, 50 * MS)
+    departures.send(2, "w2", 1, 50 * MS)
+    assert departures.release(2, 60 * MS, 0)
+    assert departures.in_flight == 1
+
+
 @pytest.mark.parametrize("sequence", [7, -1])
 def test_an_ack_of_what_is_not_under_way_frees_nothing(sequence):
     """Late, repeated or made up."""
     departures = Departures(1, 500)
-    departures.send(1, 0, 100)
+    departures.send(1, "w1", 0, 100)
     assert not departures.release(sequence, 10, 0)
     assert departures.wait_ns(10) is None

@@ -110,6 +110,27 @@ def test_lost_acks_do_not_carry_it_away(rate, delay_ns, every):
     assert least * rate <= estimate.bytes_per_s <= 1.01 * rate
 
 
+@given(st.floats(5e5, 1e7), st.floats(0.01, 0.2), delays_ns)
+def test_a_time_out_is_an_upper_bound_taken_at_once(rate, seconds, delay_ns):
+    """A link that went silent is no faster than what it did not carry; the next ack tells more."""
+    estimate, link = Goodput(), Link(delay_ns)
+    fly(estimate, link, rate, 10)
+    before = estimate.bytes_per_s
+    t1_ns = link.now_ns + 10**9
+    estimate.timed_out(1000, t1_ns, t1_ns + round(seconds * 1e9))
+    assert estimate.bytes_per_s <= min(before, 1.01 * 1000 / seconds)
+    late_ns = t1_ns + 2 * 10**9
+    estimate.acked(1000, t1_ns, late_ns, 0)
+    assert math.isclose(estimate.bytes_per_s, 500, rel_tol=0.01)  # and the past is forgotten
+
+
+def test_a_time_out_before_any_ack_is_the_first_that_is_known():
+    """A drone that starts on a link that is far too slow learns it from silence."""
+    estimate = Goodput()
+    estimate.timed_out(60_000, 0, 500 * MS)
+    assert estimate.bytes_per_s == 120_000
+
+
 times = st.integers(0, 2**62)
 
 

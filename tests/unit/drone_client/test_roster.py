@@ -114,6 +114,49 @@ def test_a_draining_worker_is_left_and_a_restarted_one_is_another():
     assert roster.choose(2) == "w1"
 
 
+def test_a_full_worker_is_not_gone_to_unless_one_is_there_already():
+    """It would turn the drone away; its own drones stay."""
+    roster = roster_of("w1", "w2")
+    first = roster.choose(0)
+    other = "w2" if first == "w1" else "w1"
+    for worker in WORKERS[:2]:
+        roster.take_status(status(worker, drones=4, max_drones=4))
+    assert roster.standing(first) is Standing.WILLING
+    assert roster.standing(other) is Standing.FULL
+    assert roster.runner_up() is None
+    make_suspect(roster, first)
+    assert roster.choose(1) == first  # nobody else would take it
+    roster.take_status(status(other, drones=3, max_drones=4))
+    assert roster.choose(2) == other
+
+
+def test_answers_that_turn_frames_away_make_suspect_for_a_while():
+    """Three in a row; one answer of use in between starts the count again."""
+    roster = roster_of("w1", "w2")
+    assert [roster.refused("w1", 0) for _ in range(2)] == [False, False]
+    roster.answered("w1")
+    assert [roster.refused("w1", 0) for _ in range(3)] == [False, False, True]
+    for _ in range(9):
+        roster.replied("w1", SECOND)
+    assert roster.standing("w1") is Standing.SUSPECT
+    roster.replied("w1", 5 * SECOND)
+    assert roster.standing("w1") is Standing.WILLING
+    assert not roster.refused("w1", 5 * SECOND)
+
+
+def test_two_workers_of_one_name_are_told_and_clear_no_suspicion():
+    """Their boot ids alternate; a restart never brings an old one back."""
+    roster = roster_of("w1", "w2")
+    roster.take_status(status("w1", boot_id=1))
+    roster.take_status(status("w1", boot_id=2))
+    assert roster.same_name == []
+    make_suspect(roster, "w1")
+    for n in range(6):
+        roster.take_status(status("w1", boot_id=1 + n % 2))
+    assert roster.same_name == ["w1"]
+    assert roster.standing("w1") is Standing.SUSPECT
+
+
 def test_one_that_went_and_came_back_starts_afresh():
     """Suspicion does not outlive the worker."""
     roster = roster_of("w1", "w2")
@@ -213,6 +256,10 @@ class RosterMachine(RuleBasedStateMachine):
         self.roster.replied(worker, self.now_ns, rtt)
 
     @rule(worker=st.sampled_from(WORKERS))
+    def refuse(self, worker):
+        self.roster.refused(worker, self.now_ns)
+
+    @rule(worker=st.sampled_from(WORKERS))
     def overdue(self, worker):
         self.roster.overdue(worker, self.now_ns)
 
@@ -233,7 +280,7 @@ class RosterMachine(RuleBasedStateMachine):
             return
         assert chosen in self.live
         standing = {w: self.roster.standing(w) for w in self.live}
-        for better in (Standing.WILLING, Standing.SUSPECT):
+        for better in (Standing.WILLING, Standing.SUSPECT, Standing.FULL):
             if better in standing.values():
                 assert standing[chosen] is better
                 break

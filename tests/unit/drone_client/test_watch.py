@@ -8,7 +8,7 @@ from drone_client.under_way import UnderWay
 from drone_client.watch import MIN_ACK_WAIT_NS, Actions, Why, WorkerWatch
 from drone_client.worker_choice import ranked
 from rgbd_wire.frame_codec import compress
-from rgbd_wire.messages import Status
+from rgbd_wire.messages import Outcome, Status
 from rgbd_wire.probe import Probe
 from tests.unit.drone_client.builders import MS, frame
 
@@ -31,6 +31,8 @@ class World:
         self.silent: set[str] = set()
         self.hung: set[str] = set()
         """Acknowledge and never answer."""
+        self.outcomes: dict[str, Outcome] = {}
+        """What each worker answers, if not that there is nothing."""
         self.next_frame_ns = 0
         self.sequence = 0
         self.sent: list[tuple[int, int, str]] = []
@@ -95,7 +97,8 @@ class World:
             else:
                 sequence, worker = details
                 self.watch.heard(sequence, worker, self.now_ns)
-                self.watch.answered(sequence, worker, self.now_ns, looked_at=True, settled=True)
+                outcome = self.outcomes.get(worker, Outcome.NOTHING_FOUND)
+                self.watch.answered(sequence, worker, self.now_ns, outcome, settled=True)
 
 
 def test_a_drone_stays_with_a_worker_that_answers():
@@ -158,6 +161,28 @@ def test_a_worker_that_acknowledges_and_never_answers_is_left():
     assert world.watch.worker == OTHER
     world.run(2000)
     assert world.watch.standings()[FIRST] == "suspect"
+
+
+@pytest.mark.parametrize("outcome", [Outcome.OVERLOADED, Outcome.FAILED, Outcome.DROPPED])
+def test_a_worker_that_turns_frames_away_is_left_and_not_gone_back_to(outcome):
+    """It answers at once, and nothing of use: fast is not good."""
+    world = World()
+    world.run(1000)
+    world.outcomes[FIRST] = outcome
+    world.run(500)
+    assert world.watch.worker == OTHER
+    count = len(world.sent)
+    world.run(4000)
+    assert {w for _, _, w in world.sent[count:]} == {OTHER}
+
+
+def test_a_frame_turned_away_now_and_then_moves_nobody():
+    """Superseded is no refusal, and one overload among good answers is none either."""
+    world = World()
+    for n in range(40):
+        world.outcomes[FIRST] = Outcome.OVERLOADED if n % 3 == 2 else Outcome.SUPERSEDED
+        world.run(66)
+    assert {w for _, _, w in world.sent} == {FIRST}
 
 
 def test_a_draining_worker_is_left_and_keeps_what_it_has():
