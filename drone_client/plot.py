@@ -7,16 +7,21 @@ from pathlib import Path
 from typing import Any
 
 from drone_client.gate import Verdict
+from drone_client.ledger import Fate
 
 PLOT_NAME = "run.png"
-_FATE_COLORS = {
-    "superseded_on_board": "tab:gray",
-    Verdict.NOT_LOOKED_AT.value: "tab:pink",
-    "send_failed": "tab:olive",
-    "no_worker": "tab:purple",
-    "no_reply": "tab:red",
-    "interrupted": "tab:brown",
+_CHOSEN_COLORS = {
+    Fate.SUPERSEDED_ON_BOARD: "tab:gray",
+    Fate.TOO_OLD_ON_BOARD: "tab:cyan",
+    Fate.SEND_FAILED: "tab:olive",
+    Fate.NO_WORKER: "tab:purple",
+    Fate.NO_REPLY: "tab:red",
+    Fate.INTERRUPTED: "tab:brown",
 }
+# Black for a fate that has no colour of its own: it is drawn all the same
+_FATE_COLORS = {
+    fate.value: _CHOSEN_COLORS.get(fate, "black") for fate in Fate if fate is not Fate.ANSWERED
+} | {Verdict.NOT_LOOKED_AT.value: "tab:pink"}
 _FRESHNESS_COLORS = {"hold": "gold", "brake": "orange", "retreat": "tab:red"}
 
 
@@ -81,7 +86,7 @@ def plot_run(
     delays.set_title("what the link delivered, against the gate", fontsize=9, loc="left")
     delays.set_ylabel("ms")
     delays.set_ylim(bottom=-0.05 * age_max_ms)
-    delays.legend(fontsize=7, ncols=4, loc="best")
+    _legend(delays)
 
     _plot_sizes(sizes, frames, seconds)
     _mark_hand_overs((delays, sizes, barrier), events, seconds)
@@ -98,21 +103,21 @@ def plot_run(
     _shade(barrier, times, [t.get("freshness") for t in ticks])
     barrier.set_title("the barrier: safe above 0", fontsize=9, loc="left")
     barrier.set_ylabel("m")
-    barrier.legend(fontsize=7, loc="best")
+    _legend(barrier)
 
     for index, axis in enumerate("xyz"):
         tip.plot(times, column("tip_target_m", index), label=f"tip {axis}")
         commands.plot(times, column("command_mps", index), label=f"velocity {axis}")
     tip.set_title("end of the arm, seen from the target", fontsize=9, loc="left")
     tip.set_ylabel("m")
-    tip.legend(fontsize=7, loc="best")
+    _legend(tip)
     commands.plot(times, column("yaw_rate_radps"), color="tab:gray", label="yaw rate [rad/s]")
     commands.set_title("what the drone was told, in the world", fontsize=9, loc="left")
     commands.set_ylabel("m/s")
     if frames:
         commands.set_xlim(left=-0.2)
     commands.set_xlabel("s")
-    commands.legend(fontsize=7, loc="best")
+    _legend(commands)
     for axes in (delays, sizes, barrier, tip, commands):
         axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
@@ -141,7 +146,12 @@ def _plot_sizes(
     axes.set_ylabel("kB")
     axes.set_ylim(0, 1.15 * max((f["bytes"] for f in sent), default=1e3) / 1e3)
     if sent:
-        axes.legend(fontsize=7, loc="best")
+        _legend(axes, 1.08 if known else 1.01)
+
+
+def _legend(axes: Any, left: float = 1.01) -> None:
+    """Beside the axes, where it covers no point; ``left`` is in widths of the axes."""
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(left, 1.0), borderaxespad=0.0)
 
 
 def _mark_hand_overs(

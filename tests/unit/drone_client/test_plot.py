@@ -2,8 +2,11 @@
 
 import cv2
 import numpy as np
+import pytest
 from matplotlib.colors import to_rgb
 
+from drone_client import plot
+from drone_client.ledger import Fate
 from drone_client.plot import plot_run
 
 MS = 1_000_000
@@ -80,6 +83,36 @@ def test_lines_without_numbers_are_drawn_around(tmp_path):
     for name in ("tab:purple", "tab:red", "tab:brown", "tab:pink"):
         assert share(picture, np.array(to_rgb(name)) * 255) > 1e-5
     assert share(picture, GOLD) < 1e-3
+
+
+@pytest.mark.parametrize("fate", [f for f in Fate if f is not Fate.ANSWERED])
+def test_every_fate_is_drawn_in_a_colour_of_its_own(tmp_path, fate):
+    """A fate that is new and was forgotten here fails this test."""
+    color = plot._FATE_COLORS[fate.value]
+    assert list(plot._FATE_COLORS.values()).count(color) == 1
+    assert color != "black"
+    rgb = np.array(to_rgb(color)) * 255
+    frames, ticks = [frame_line(i) for i in range(20)], [tick_line(i) for i in range(20)]
+    without = share(drawn(tmp_path / "a.png", frames, ticks), rgb)
+    frames += [frame_line(20 + i, fate.value) for i in range(5)]
+    assert share(drawn(tmp_path / "b.png", frames, ticks), rgb) > without
+
+
+def test_no_legend_covers_a_panel(tmp_path, monkeypatch):
+    """Each stands to the right of its axes and of its second scale, and inside the picture."""
+    figures = []
+    monkeypatch.setattr(
+        "matplotlib.figure.Figure.savefig", lambda self, *_, **__: figures.append(self)
+    )
+    frames = [frame_line(i) for i in range(20)] + [frame_line(20, "too_old_on_board")]
+    plot_run(tmp_path / "run.png", frames, [tick_line(i) for i in range(20)], [], 250, 300)
+    (figure,) = figures
+    figure.canvas.draw()
+    boxes = [a.get_legend().get_window_extent() for a in figure.axes if a.get_legend()]
+    assert len(boxes) == 5
+    for box in boxes:
+        assert box.x1 <= figure.bbox.x1
+        assert not any(box.overlaps(axes.get_window_extent()) for axes in figure.axes)
 
 
 def test_an_empty_run_has_a_picture_too(tmp_path):
