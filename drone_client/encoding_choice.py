@@ -47,11 +47,13 @@ class EncodingChoice:
         self, frame: RgbdFrame, now_ns: int, goodput_bytes_per_s: float | None
     ) -> ChosenEncoding:
         """For a frame that leaves now, drone's clock."""
-        choice = self._rate.choose(now_ns, goodput_bytes_per_s)
-        step = choice.rung.depth_step
-        plan = DepthPlan()
-        if step > 1:
-            plan = DepthPlan(step, self._region(frame), RANGE_MAX_M)
+        region = self._region(frame)
+        lens = frame.camera.depth
+        share = 0.0 if region is None else _area(region) / (lens.width * lens.height)
+        choice = self._rate.choose(now_ns, goodput_bytes_per_s, share)
+        plan, rung = DepthPlan(), choice.rung
+        if rung.depth_step > 1:
+            plan = DepthPlan(rung.depth_step, region if rung.region else None, RANGE_MAX_M)
         return ChosenEncoding(choice, Encoding(choice.jpeg_quality, plan))
 
     def weighed(self, chosen: ChosenEncoding, compressed: CompressedFrame) -> None:
@@ -68,3 +70,8 @@ class EncodingChoice:
             return None
         world_from_target = estimate.world_from_target
         return depth_region(world_from_target, frame.world_from_camera, age_ns, frame.camera)
+
+
+def _area(region: Region) -> int:
+    x0, y0, x1, y1 = region
+    return (x1 - x0) * (y1 - y0)

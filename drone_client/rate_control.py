@@ -15,6 +15,10 @@ from typing import Any
 
 from rgbd_wire.depth import Step
 
+BYTES_PER_PIXEL = {1: 1.0, 2: 1.55, 4: 2.1}
+"""Of lossless depth, by the step between its pixels, against full resolution: the farther apart,
+the less one tells of the next. Measured by ``scripts/bench codec``; a start value only."""
+
 
 @dataclass(frozen=True, slots=True)
 class Rung:
@@ -26,19 +30,28 @@ class Rung:
     """1: depth at full resolution everywhere; 2 or 4: that is the step outside the region of
     interest, which stays full."""
     color_weight: float
-    """Bytes of its colour picture against the best rung's: only until it has been weighed."""
-    depth_weight: float
+    """Bytes of its colour picture against quality 80: only until it has been weighed."""
+    region: bool = True
+    """Around the target depth is at full resolution."""
+
+    def depth_weight(self, region_share: float) -> float:
+        """Bytes of its depth against all of it, with a region of that share of the picture."""
+        fine = region_share if self.region else 0.0
+        step = self.depth_step
+        return fine + (1.0 - fine) * BYTES_PER_PIXEL[step] / step**2
 
 
 LADDER = (
-    Rung("full", 80, 1, 1.0, 1.0),
-    Rung("full-q65", 65, 1, 0.70, 1.0),
-    Rung("half", 70, 2, 0.77, 0.45),
-    Rung("quarter", 60, 4, 0.65, 0.22),
-    Rung("quarter-q45", 45, 4, 0.53, 0.22),
-    Rung("quarter-q25", 25, 4, 0.37, 0.22),
+    Rung("full", 80, 1, 1.0),
+    Rung("full-q65", 65, 1, 0.70),
+    Rung("half", 70, 2, 0.77),
+    Rung("quarter", 60, 4, 0.65),
+    Rung("quarter-q45", 45, 4, 0.53),
+    Rung("quarter-q25", 25, 4, 0.37),
+    Rung("bare-q20", 20, 4, 0.32, region=False),
 )
-"""Colour goes first, since a detector hardly minds quality 65; then depth that nobody looks at."""
+"""Colour goes first, since a detector hardly minds quality 65; then depth that nobody looks at; the
+last is for a link on which nothing else gets through."""
 
 
 class Reason(StrEnum):
@@ -66,7 +79,7 @@ class RateSettings:
     """A third of tau_max."""
     enabled: bool = True
     best_quality: int = 80
-    """Of JPEG; no rung goes above it."""
+    """Of JPEG on the best rung; no other goes above it."""
     headroom: float = 0.8
     """A better rung has to fit into so much of the bound ..."""
     patience_ns: int = 1_000_000_000
@@ -83,6 +96,8 @@ class Choice:
     predicted_bytes: int | None
     predicted_ns: int | None
     goodput_bytes_per_s: float | None
+    region_share: float = 0.0
+    """Of the depth picture, that the region of interest has."""
 
     def record(self) -> dict[str, Any]:
         """For the ledger: what was chosen and why."""
@@ -104,18 +119,24 @@ class RateController:
         self._settings = settings
         self._ladder = ladder
         self._color_bytes: dict[int, float] = {}
-        """Weighed, smoothed, by the rung's place."""
+        """Weighed, smoothed, by the rung's place, for a weight of 1: that of quality 80."""
         self._depth_bytes: dict[int, float] = {}
+        """Likewise, of all the depth at full resolution."""
         self._at = 0
         self._fits_since_ns: int | None = None
+        self._region_share = 0.0
 
-    def choose(self, now_ns: int, goodput_bytes_per_s: float | None) -> Choice:
+    def choose(
+        self, now_ns: int, goodput_bytes_per_s: float | None, region_share: float = 0.0
+    ) -> Choice:
         """The rung for the next frame.
 
         Args:
             now_ns: drone's clock.
             goodput_bytes_per_s: of messages, whatever the transport adds to them; None: unknown.
+            region_share: share of the depth picture that the region of interest would have.
         """
+        self._region_share = region_share
         if not self._settings.enabled:
             return self._choice(0, Reason.FIXED, goodput_bytes_per_s)
         if goodput_bytes_per_s is None or not self._color_bytes:
@@ -146,7 +167,11 @@ class RateController:
     def weighed(self, choice: Choice, color_bytes: int, depth_bytes: int) -> None:
         """What a frame of a choice came to."""
         at = self._ladder.index(choice.rung)
-        for known, new in ((self._color_bytes, color_bytes), (self._depth_bytes, depth_bytes)):
+        depth_weight = choice.rung.depth_weight(choice.region_share)
+        for known, new in (
+            (self._color_bytes, color_bytes / choice.rung.color_weight),
+            (self._depth_bytes, depth_bytes / depth_weight),
+        ):
             known[at] = new if at not in known else known[at] + 0.3 * (new - known[at])
 
     def _go(self, at: int, reason: Reason, goodput: float | None) -> Choice:
@@ -158,21 +183,19 @@ class RateController:
         known = bool(self._color_bytes)
         size = round(self._bytes(at)) if known else None
         time_ns = None if size is None or not goodput else round(1e9 * size / goodput)
-        quality = min(rung.jpeg_quality, self._settings.best_quality)
-        if reason is Reason.FIXED:
-            quality = self._settings.best_quality
-        return Choice(rung, quality, reason, size, time_ns, goodput)
+        best = self._settings.best_quality
+        quality = best if at == 0 else min(rung.jpeg_quality, best)
+        return Choice(rung, quality, reason, size, time_ns, goodput, self._region_share)
 
     def _bytes(self, at: int) -> float:
         """Predicted bytes of a frame on a rung: never less than on a leaner one."""
         return max(self._raw_bytes(i) for i in range(at, len(self._ladder)))
 
     def _raw_bytes(self, at: int) -> float:
-        color = self._of(self._color_bytes, at, [r.color_weight for r in self._ladder])
-        return color + self._of(self._depth_bytes, at, [r.depth_weight for r in self._ladder])
+        rung = self._ladder[at]
+        color = rung.color_weight * self._of(self._color_bytes, at)
+        return color + rung.depth_weight(self._region_share) * self._of(self._depth_bytes, at)
 
-    def _of(self, known: dict[int, float], at: int, weights: list[float]) -> float:
-        if at in known:
-            return known[at]
-        near = min(known, key=lambda i: abs(i - at))
-        return known[near] * weights[at] / weights[near]
+    def _of(self, known: dict[int, float], at: int) -> float:
+        """As weighed on this rung, else on the nearest one."""
+        return known[at] if at in known else known[min(known, key=lambda i: abs(i - at))]

@@ -8,14 +8,28 @@ from drone_client.encoding_choice import RANGE_MAX_M, REMEMBERED_NS, EncodingCho
 from drone_client.rate_control import RateSettings, Reason
 from drone_client.region_of_interest import depth_region
 from drone_client.target import TargetEstimate
+from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
+from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.frame_codec import compress
 from rgbd_wire.geometry import Pose
-from tests.unit.drone_client.builders import CAMERA, MS, SECOND, frame, pose
+from tests.unit.drone_client.builders import MS, SECOND, pose
 
 HERE = Pose.identity()
 WORLD_FROM_TARGET = pose((0.0, 0.0, 4.0))
-SLOW = 500.0
-"""Bytes a second: even these tiny frames are too heavy for it at their best."""
+LENS = CameraIntrinsics(160, 120, 200.0, 200.0, 79.5, 59.5)
+CAMERA = RgbdCamera(LENS, LENS, 0.001, Pose.identity())
+
+
+def frame(t_capture_ns: int, world_from_camera: Pose | None = None) -> RgbdFrame:
+    """Noise, which no codec makes small."""
+    rng = np.random.default_rng(0)
+    color = rng.integers(0, 255, (120, 160, 3), np.uint8)
+    depth = rng.integers(1000, 5000, (120, 160), np.uint16)
+    return RgbdFrame(color, depth, CAMERA, t_capture_ns, world_from_camera)
+
+
+SLOW = compress(frame(0)).size_bytes * 0.7 / 0.080
+"""Bytes a second: a bit less than the best rung needs."""
 
 
 def estimate_of(t_capture_ns: int = 0) -> TargetEstimate:
@@ -27,7 +41,7 @@ def choose(estimate, goodput, t_ns=100 * MS, world_from_camera=HERE):
     """The choice for a frame, after one at its best has been weighed."""
     choice = EncodingChoice(RateSettings(80 * MS), lambda: estimate)
     first = choice.choose(frame(0, world_from_camera), 0, None)
-    choice.weighed(first, compress(frame(0), first.encoding))
+    choice.weighed(first, compress(frame(0, world_from_camera), first.encoding))
     return choice.choose(frame(t_ns, world_from_camera), t_ns, goodput)
 
 
@@ -61,3 +75,10 @@ def test_without_a_target_a_pose_or_a_lately_seen_one_there_is_no_region():
     ):
         assert chosen.encoding.depth.region is None
         assert chosen.encoding.depth.step > 1
+
+
+def test_on_the_last_rung_there_is_no_region_either():
+    """A link on which nothing else gets through."""
+    chosen = choose(estimate_of(), SLOW / 100)
+    assert chosen.choice.reason is Reason.TOO_SLOW
+    assert chosen.encoding.depth.region is None

@@ -26,7 +26,7 @@ def controller(**changes) -> RateController:
 def weigh(control: RateController, choice: Choice, scale: float = 1.0) -> int:
     """What the rung's frame weighs, told to the controller; in bytes."""
     color = round(scale * COLOR * choice.rung.color_weight)
-    depth = round(scale * DEPTH * choice.rung.depth_weight)
+    depth = round(scale * DEPTH * choice.rung.depth_weight(choice.region_share))
     control.weighed(choice, color, depth)
     return color + depth
 
@@ -42,13 +42,15 @@ def fly(control: RateController, goodput: float, start_ns: int, frames: int) -> 
 
 def lowest_bytes() -> float:
     """Of the leanest rung."""
-    return COLOR * LADDER[-1].color_weight + DEPTH * LADDER[-1].depth_weight
+    return COLOR * LADDER[-1].color_weight + DEPTH * LADDER[-1].depth_weight(0.0)
 
 
 def test_the_ladder_only_gets_leaner():
-    """Each rung weighs less than the one above it, and looks no better."""
-    weights = [COLOR * r.color_weight + DEPTH * r.depth_weight for r in LADDER]
-    assert weights == sorted(weights, reverse=True)
+    """Each rung weighs less than the one above it, whatever the region, and looks no better."""
+    for share in (0.0, 0.1, 0.5, 1.0):
+        weights = [COLOR * r.color_weight + DEPTH * r.depth_weight(share) for r in LADDER]
+        if share < 0.9:  # at last the region is the picture
+            assert weights == sorted(weights, reverse=True)
     assert [r.depth_step for r in LADDER] == sorted(r.depth_step for r in LADDER)
 
 
@@ -135,6 +137,30 @@ def test_up_takes_a_second_of_room_to_spare():
     assert first * PERIOD_NS >= SECOND
     assert {c.reason for c in choices[:first]} == {Reason.WAITS}
     assert choices[-1].reason is Reason.FITS
+
+
+@given(st.floats(0.0, 0.5), st.floats(0.0, 0.5), st.floats(2e5, 3e6))
+def test_a_region_that_comes_up_is_in_the_prediction(before, after, goodput):
+    """A target that is seen for the first time does not make the next frame late."""
+    control = controller()
+    weigh(control, control.choose(0, None, before))
+    for n in range(60):
+        weigh(control, control.choose(n * PERIOD_NS, goodput, before))
+    choice = control.choose(60 * PERIOD_NS, goodput, after)
+    weight = choice.rung.depth_weight(after)
+    bytes_ = COLOR * choice.rung.color_weight + DEPTH * weight
+    assert abs(choice.predicted_bytes - bytes_) <= 0.01 * bytes_ + 2
+    if choice.reason is not Reason.TOO_SLOW:
+        assert bytes_ / goodput <= 1.02 * BOUND_NS / 1e9
+
+
+def test_a_quality_above_80_is_what_the_best_rung_has():
+    """--jpeg-quality 95 means 95 where the link carries it, and the ladder's own below."""
+    control = controller(best_quality=95)
+    first = control.choose(0, None)
+    assert first.jpeg_quality == 95
+    weigh(control, first)
+    assert control.choose(1, 1e4).jpeg_quality == LADDER[-1].jpeg_quality
 
 
 def test_switched_off_it_is_always_the_best():
