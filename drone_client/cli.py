@@ -32,6 +32,7 @@ from drone_client.ros.names import Flavour
 from drone_client.ros.publish import open_ros, publish_accepted
 from drone_client.settings import ClientSettings, about, known_name, load_settings
 from drone_client.source.replay import open_recording
+from drone_client.summary_table import print_summary
 from drone_client.truth import load_truth
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.errors import WireError
@@ -159,7 +160,10 @@ def replay(
     if as_json:
         print(json.dumps(summary, indent=2))
     else:
-        _print_summary(summary, options)
+        print_summary(summary)
+        files = [LEDGER_NAME, SUMMARY_NAME, *([PLOT_NAME] if options.plot else [])]
+        written = ", ".join(str(options.out / f) for f in files)
+        Console().print(f"written: {written}", markup=False, soft_wrap=True)
     if summary["unwritten"]:
         raise typer.Exit(2)
     if summary["interrupted"]:
@@ -252,95 +256,6 @@ def _progress() -> Progress:
         console=_errors,
         disable=not _errors.is_terminal,
     )
-
-
-def _print_summary(summary: dict[str, Any], options: ReplayOptions) -> None:
-    def counts(name: str) -> str:
-        return ", ".join(f"{n} {key}" for key, n in summary[name].items()) or "none"
-
-    def times(name: str) -> str:
-        s = summary[name]
-        return (
-            "none" if s is None else f"p50 {s['p50']:.1f}  p95 {s['p95']:.1f}  max {s['max']:.1f}"
-        )
-
-    rows = {
-        "frames": f"{summary['frames']}: {counts('fates')}",
-        "gate": counts("verdicts"),
-        "outcomes": counts("outcomes"),
-        "workers": counts("workers"),
-        "target": counts("updates"),
-        "encodings": counts("encodings"),
-        "d1 + d2 [ms]": f"{times('network_delay_ms')}  (tau_max {summary['tau_max_ms']:g})",
-        "age [ms]": f"{times('age_ms')}  (age_max {summary['age_max_ms']:g})",
-        "service [ms]": times("service_ms"),
-        "control ticks": f"{summary['ticks']}: {counts('known')}",
-        "filter": counts("statuses"),
-        "knowledge": counts("freshness"),
-    }
-    if (t := summary.get("truth")) is not None:
-        error_mm = t["position_error_mm"]
-        rows["against truth"] = (
-            f"found {t['found_of_these']} of {t['frames_fully_visible']} in full view, "
-            f"{t['ghosts_in_these']} ghosts in {t['frames_without_target']} without it"
-            + ("" if error_mm is None else f", median error {error_mm['p50']:.1f} mm")
-        )
-    if summary["rejected_messages"]:
-        rows["bad messages"] = counts("rejected_messages")
-    if summary["hand_overs"]:
-        rows["hand-overs"] = (
-            f"{summary['hand_overs']}; suspicions: {counts('suspicions')}; "
-            f"second copies: {counts('copies')}"
-        )
-    if (d1 := summary["d1_ms"]) is not None:
-        rows["d1, d2 apart [ms]"] = (
-            f"p50 {d1['p50']:.1f}, {summary['d2_ms']['p50']:.1f}, each within "
-            f"{summary['one_way_bound_ms']['p50']:.1f} (to look at; the gate never asks)"
-        )
-    rows |= _link_rows(summary["link"])
-    rows |= _warnings(summary)
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for key, value in rows.items():
-        table.add_row(Text(key, style="bold"), Text(value))
-    console = Console()
-    console.print(table)
-    files = [LEDGER_NAME, SUMMARY_NAME, *([PLOT_NAME] if options.plot else [])]
-    written = ", ".join(str(options.out / f) for f in files)
-    console.print(f"written: {written}", markup=False, soft_wrap=True)
-
-
-def _link_rows(link: dict[str, Any]) -> dict[str, str]:
-    """What the tunnel knows of each worker's way."""
-    return {
-        f"tunnel to {worker}": (
-            f"{state['goodput_mbps']:.1f} Mbit/s, round trip {state['round_trip_ms']:.1f} ms, "
-            f"loss {state['loss']:.1%}, parity {state['parity']:.0%}"
-        )
-        for worker, state in link.get("workers", {}).items()
-        if state is not None
-    }
-
-
-def _warnings(summary: dict[str, Any]) -> dict[str, str]:
-    """What a person has to know of a run, and would not see in its counts."""
-    rows = {}
-    if summary["interrupted"]:
-        rows["INTERRUPTED"] = "the recording was not played to its end"
-    if n := summary["foreign_messages"]:
-        rows["SAME NAME"] = (
-            f"{n} answers were for another client called {summary['drone']!r}: the two displace "
-            "each other's frames; give each its own --name"
-        )
-    if n := summary["updates"].get("no_pose"):
-        rows["NO POSE"] = (
-            f"{n} targets were not used, since the drone did not know where it was: "
-            "groundtruth.txt is missing, or does not cover the recording"
-        )
-    if n := summary["lost_ledger_lines"]:
-        rows["LOST LINES"] = f"{n} (is the disk full?)"
-    if summary["unwritten"]:
-        rows["UNWRITTEN"] = "; ".join(summary["unwritten"])
-    return rows
 
 
 if __name__ == "__main__":
