@@ -195,6 +195,26 @@ class EdgeSettings(BaseSettings):
             )
         return self
 
+    @model_validator(mode="after")
+    def _nothing_in_vain(self) -> EdgeSettings:
+        """Who names keys or certificates believes them in use: without their link nobody starts."""
+        if self.tunnel_keys is not None and not self.udp_listen:
+            raise ValueError(
+                "--keys (EDGE_TUNNEL_KEYS) is given and there is no tunnel: "
+                "add --udp 0.0.0.0:7448 (EDGE_UDP_LISTEN), or leave the keys out"
+            )
+        if self.zenoh_drones and self.zenoh_tls is None:
+            raise ValueError(
+                "--drones (EDGE_ZENOH_DRONES) says who may come in over TLS, and there is none: "
+                "add --tls FOLDER (EDGE_ZENOH_TLS), or leave the drones out"
+            )
+        if self.zenoh_tls is not None and not self.has_zenoh:
+            raise ValueError(
+                "--tls (EDGE_ZENOH_TLS) is given and there is no Zenoh: add --listen "
+                "tls/0.0.0.0:7447 (EDGE_ZENOH_LISTEN), or leave the certificates out"
+            )
+        return self
+
     @property
     def has_zenoh(self) -> bool:
         """There is a Zenoh endpoint to listen on or a router to join."""

@@ -123,6 +123,31 @@ def test_the_tunnel_alone_is_a_way_in(monkeypatch):
     assert load_settings().has_zenoh
 
 
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ({"tunnel_keys": KEYS}, ["--keys", "EDGE_TUNNEL_KEYS", "--udp 0.0.0.0:7448"]),
+        ({"zenoh_drones": "d1"}, ["--drones", "EDGE_ZENOH_DRONES", "--tls FOLDER"]),
+        (
+            {
+                "zenoh_tls": "/run/tls",
+                "zenoh_drones": "d1",
+                "zenoh_listen": "",
+                "udp_listen": "0.0.0.0:7448",
+                "tunnel_keys": KEYS,
+            },
+            ["--tls", "no Zenoh", "--listen tls/0.0.0.0:7447"],
+        ),
+    ],
+)
+def test_keys_or_certificates_without_their_link_are_told(flags, words):
+    """Whoever gives them believes that the link is there and closed to others."""
+    with pytest.raises(SettingsError) as error:
+        load_settings(**flags)
+    for word in words:
+        assert word in str(error.value)
+
+
 def test_flags_of_the_links_are_named_as_flags():
     """Who typed --udp is not told of a variable."""
     with pytest.raises(SettingsError, match=r"^--udp: must be HOST:PORT"):
