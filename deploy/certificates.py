@@ -375,8 +375,10 @@ def certificates(
     )
     try:
         make(order, datetime.now(UTC))
-    except (CertificatesError, OSError) as error:
+    except CertificatesError as error:
         sys.exit(f"error: {error}")
+    except OSError as error:
+        sys.exit(f"error: {error.filename or folder}: {error.strerror}; give a FOLDER to write to")
     typer.echo(next_steps(order))
 
 

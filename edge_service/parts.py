@@ -14,6 +14,7 @@ from edge_service.transport.udp import UdpTransport
 from edge_service.transport.zenoh import ZenohAddress, ZenohTransport
 from rgbd_wire.clock import Clock
 from rgbd_wire.tls_files import tls_files
+from rgbd_wire.tunnel.errors import KeyFileError
 from rgbd_wire.tunnel.keys import KeyFile
 from target_pose.localise import localise
 from target_pose.nesting import group
@@ -74,7 +75,13 @@ def make_links(settings: EdgeSettings, clock: Clock) -> Links:
     tunnel = None
     if settings.udp_listen:
         assert settings.tunnel_keys is not None, "checked with the settings"
-        keys = KeyFile(settings.tunnel_keys)
+        try:
+            keys = KeyFile(settings.tunnel_keys)
+        except KeyFileError as error:
+            raise KeyFileError(
+                f"--keys (EDGE_TUNNEL_KEYS): {error}; scripts/certificates FOLDER --drones ... "
+                f"--workers {settings.name} --tunnel-keys makes FOLDER/{settings.name}/tunnel.keys"
+            ) from None
         tunnel = UdpTransport(settings.name, f"udp/{settings.udp_listen}", keys, clock)
         transports.append(tunnel)
         lines.append(f"udp    {settings.udp_listen}, keys in {settings.tunnel_keys}")

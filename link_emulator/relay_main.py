@@ -17,7 +17,7 @@ from typing import Any
 
 from link_emulator import netns
 from link_emulator.control import MAX_MESSAGE_BYTES
-from link_emulator.errors import EmulatorError
+from link_emulator.errors import ControlError, EmulatorError
 from link_emulator.impairments import Impairments
 from link_emulator.lane import Lane
 from link_emulator.loop import Loop, hurry
@@ -62,9 +62,12 @@ def _relay(owner: socket.socket, job: dict[str, Any]) -> None:
                 loop, up_lane, down_lane = make_tun_relay(TunEnds(**job["ends"]), *paths)
         served = Served(owner, loop, up_lane, down_lane, hurry(), change)
         if job["control"] is not None:
-            served.listen(FilePath(job["control"]))
-    except (EmulatorError, OSError) as error:
+            _listen(served, job["control"])
+    except EmulatorError as error:
         owner.send(json.dumps({"error": str(error)}).encode())
+        return
+    except OSError as error:
+        owner.send(json.dumps({"error": f"{_place(job)}: {error.strerror or error}"}).encode())
         return
     owner.send(json.dumps({"ok": True, "port": port}).encode())
     try:
@@ -72,6 +75,23 @@ def _relay(owner: socket.socket, job: dict[str, Any]) -> None:
     finally:
         if job["control"] is not None:
             os.unlink(job["control"])
+
+
+def _listen(served: Served, path: str) -> None:
+    try:
+        served.listen(FilePath(path))
+    except OSError as error:
+        raise ControlError(
+            f"--control {path}: {error.strerror or error}; give a path that is free"
+        ) from None
+
+
+def _place(job: dict[str, Any]) -> str:
+    """What a job was about to open."""
+    if "listen" not in job:
+        return "the link between the namespaces"
+    host, port = job["listen"]
+    return f"cannot listen on {host}:{port} (--listen)"
 
 
 if __name__ == "__main__":

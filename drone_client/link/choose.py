@@ -11,6 +11,7 @@ from drone_client.link.zenoh import ZenohLink
 from drone_client.settings import ClientSettings
 from rgbd_wire.clock import Clock
 from rgbd_wire.tls_files import tls_files
+from rgbd_wire.tunnel.errors import KeyFileError
 from rgbd_wire.tunnel.keys import load_key
 from rgbd_wire.tunnel.sending import LinkState
 
@@ -34,7 +35,14 @@ def open_link(settings: ClientSettings, clock: Clock, drone: str | None = None) 
                 "udp/ endpoints need this drone's key: give --key-file; "
                 "scripts/certificates makes one, and the workers' file with it"
             )
-        return UdpLink(name, settings.endpoints, load_key(settings.key_file, name), clock)
+        try:
+            key = load_key(settings.key_file, name)
+        except KeyFileError as error:
+            raise KeyFileError(
+                f"--key-file (DRONE_KEY_FILE): {error}; scripts/certificates FOLDER --drones "
+                f"{name} --workers ... --tunnel-keys makes FOLDER/{name}/tunnel.key"
+            ) from None
+        return UdpLink(name, settings.endpoints, key, clock)
 
     tls = None if settings.tls is None else tls_files(settings.tls)
     return ZenohLink(name, settings.endpoints, clock, tls)

@@ -150,6 +150,16 @@ def test_an_authority_that_cannot_sign_any_more_is_told(tmp_path):
         load_authority(folder, datetime.now(UTC))
 
 
+def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
+    """The path, what is wrong with it, and what to give."""
+    (tmp_path / "file").touch()
+    done = run(str(tmp_path / "file/certs"), "--drones", "d1")
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"error: {tmp_path / 'file/certs'}")
+    assert "Not a directory; give a FOLDER" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
 def test_the_command_says_what_to_do_next_and_help_teaches(tmp_path):
     """Both ends' commands, with the folders just made; errors are one line."""
     made = run(str(tmp_path / "c"), "--drones", "d1", "--workers", "w1", "--tunnel-keys")

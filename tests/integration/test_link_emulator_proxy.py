@@ -251,6 +251,30 @@ def test_command_line_proxies_and_changes(tmp_path: Path) -> None:
         Control.connect(path)
 
 
+@pytest.mark.parametrize("protocol", ["udp", "tcp"])
+def test_an_address_that_is_taken_is_named(tmp_path: Path, protocol: str) -> None:
+    """Of the port, and of the socket for commands."""
+    kind = socket.SOCK_DGRAM if protocol == "udp" else socket.SOCK_STREAM
+    command = [sys.executable, "-m", "link_emulator", "proxy", protocol, "--to", f"{HERE}:1"]
+    path = tmp_path / "control"
+    path.touch()
+    with socket.socket(socket.AF_INET, kind) as taken:
+        taken.bind((HERE, 0))
+        if protocol == "tcp":
+            taken.listen()
+        place = f"{HERE}:{taken.getsockname()[1]}"
+        for more, message in (
+            (["--listen", place], f"cannot listen on {place} (--listen): Address already in use"),
+            (["--control", str(path)], f"--control {path}: Address already in use; give a path"),
+        ):
+            done = subprocess.run(
+                [*command, *more], check=False, capture_output=True, text=True, timeout=120
+            )
+            assert done.returncode == 2
+            assert done.stderr.startswith(f"link_emulator: {message}")
+            assert len(done.stderr.splitlines()) == 1
+
+
 def test_mistake_of_a_user_ends_in_one_line() -> None:
     """Exit code 2 and a sentence."""
     for arguments, message in (

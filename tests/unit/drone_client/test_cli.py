@@ -165,6 +165,16 @@ def test_every_flag_can_be_read_at_80_columns(command, monkeypatch, name):
         (["rec", "--airframe", "no.toml"], "airframe file no.toml: No such file"),
         (["rec", "--truth", "truth.json"], "truth file truth.json: 0 frames"),
         (["rec", "--out", "run"], "no worker answers at tcp/127.0.0.1:"),
+        (["rec", "--connect", "udp/127.0.0.1:1"], "need this drone's key: give --key-file"),
+        (
+            ["rec", "--connect", "udp/127.0.0.1:1", "--key-file", "nope.key"],
+            "--key-file (DRONE_KEY_FILE): nope.key: No such file or directory; "
+            "scripts/certificates FOLDER --drones drone ",
+        ),
+        (
+            ["rec", "--connect", "tls/127.0.0.1:1", "--tls", "nope"],
+            "cannot read nope/ca.pem: No such file or directory; scripts/certificates makes",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_on_stderr_and_exit_code_2(
