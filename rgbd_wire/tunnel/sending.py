@@ -24,6 +24,8 @@ MAX_BATCH = 54
 SHORT_WAY_NS = 1_500_000
 """Round trip under which parity waits for the report that makes it needless."""
 MAX_COPIES = 64
+PAUSE_NS = 500_000
+"""A sender that comes so much too late has paused, as far as the measured rate goes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +114,7 @@ class Sending:
                 return []
             if count == 0:
                 return []
+            self._note_departure(outgoing, now_ns)
             self._pacer.spend(count)
             shards = outgoing.take(count)
             outgoing.left_ns = now_ns
@@ -147,9 +150,11 @@ class Sending:
             times.append(self._copies[0][0])
         left = sum(outgoing.left for outgoing in self._waiting)
         if left:
-            ready_ns = self._pacer.ready_ns(left)
             first = next(o for o in self._waiting if o.left)
-            times.append(ready_ns if first.data_left else max(ready_ns, first.parity_ns))
+            not_before_ns = 0 if first.data_left else first.parity_ns
+            times.append(self._pacer.ready_ns(left, not_before_ns))
+        else:
+            self._pacer.nothing_waits()
         return min(times, default=None)
 
     def word(self, word: Word) -> bytes:
@@ -179,8 +184,11 @@ class Sending:
     def on_report(self, report: Report, now_ns: int) -> None:
         """What the receiver saw of one message."""
         self._parity.on_report(report.received, report.lost)
-        self._pacer.on_report(report.received, report.train_bytes, report.train_us)
         outgoing = self._kept.get(report.message_id)
+        restarts: list[tuple[int, int]] = []
+        if outgoing is not None and report.whole and not report.lost:  # else its end may be missing
+            restarts = outgoing.restarts(report.received)
+        self._pacer.on_report(report.received, report.train_bytes, report.train_us, restarts)
         if outgoing is not None and report.whole:
             outgoing.drop_rest()
         if report.lost:
@@ -196,6 +204,17 @@ class Sending:
         self._loss += (lost - self._loss) * min(1.0, sent / 256)
         if lost:
             self._lossy_until_ns = now_ns + LOSSY_FOR_NS
+
+    def _note_departure(self, outgoing: Outgoing, now_ns: int) -> None:
+        """Before symbols leave: whether they are the first ones, or come after a pause."""
+        departures = outgoing.departures
+        if not departures:
+            outgoing.was_path_free = self._pacer.is_path_free(now_ns)
+        elif now_ns == outgoing.left_ns:
+            return
+        elif self._pacer.late_ns < PAUSE_NS and (outgoing.data_left or not outgoing.parity_ns):
+            return
+        departures.append((now_ns, outgoing.next_symbol))
 
     def _outgoing(self, message: bytes, budget_ns: int, now_ns: int, *, crowded: bool) -> Outgoing:
         if not 0 < len(message) <= MAX_MESSAGE_BYTES:

@@ -57,6 +57,10 @@ class Outgoing:
         """When the last symbol of the first round left, own clock."""
         self.parity_ns = 0
         """Parity is held back until then, own clock."""
+        self.departures: list[tuple[int, int]] = []
+        """When [ns, own clock] and from which symbol on it left, at first and after each pause."""
+        self.was_path_free = False
+        """Nothing of older messages was on the path when it began to leave."""
         self._next = 0
         self._fresh = self.symbols + parity
         self._head = Inner.SHARD | len(message) << 8
@@ -72,6 +76,22 @@ class Outgoing:
     def data_left(self) -> int:
         """Those of them that are the message itself; they cost no encoding."""
         return max(0, self.symbols - self._next)
+
+    @property
+    def next_symbol(self) -> int:
+        """The next symbol of the first round."""
+        return self._next
+
+    def restarts(self, seen: int) -> list[tuple[int, int]]:
+        """Where its sender paused: time since it began [us], symbols from there to the end.
+
+        Args:
+            seen: up to which symbol of the first round the receiver looks back.
+        """
+        if not self.was_path_free:  # when its first symbol arrived does not say when it left
+            return []
+        first_ns = self.departures[0][0]
+        return [((at_ns - first_ns) // 1000, seen - i) for at_ns, i in self.departures[1:]]
 
     def take(self, count: int) -> list[bytes]:
         """The next shards of the first round: of the message, or parity once those are out."""

@@ -129,11 +129,14 @@ class Path:
         lost: Callable[[], bool],
         one_way_ns: int = 10 * MS,
         rate_bps: float = 50e6,
+        late_ns: int = 0,
     ) -> None:
         self.now_ns = 0
+        self.late_ns = late_ns
+        self.queue_ns = 0
         self.counters = Counters()
         self.arrived: dict[bytes, int] = {}
-        self._lost, self._one_way_ns, self._rate_bps = lost, one_way_ns, rate_bps
+        self._lost, self._one_way_ns, self.rate_bps = lost, one_way_ns, rate_bps
         self._free_ns = [0, 0]
         self._flying: list[tuple[int, int, int, bytes]] = []
         self._order = itertools.count()
@@ -147,7 +150,8 @@ class Path:
         def send(datagrams: Sequence[bytes]) -> int:
             for datagram in datagrams:
                 start_ns = max(self.now_ns, self._free_ns[end])
-                self._free_ns[end] = start_ns + int((len(datagram) + 28) * 8e9 / self._rate_bps)
+                self._free_ns[end] = start_ns + int((len(datagram) + 28) * 8e9 / self.rate_bps)
+                self.queue_ns = max(self.queue_ns, self._free_ns[end] - self.now_ns)
                 if not self._lost():
                     there_ns = self._free_ns[end] + self._one_way_ns
                     entry = (there_ns, next(self._order), 1 - end, datagram)
@@ -157,10 +161,13 @@ class Path:
         return send
 
     def send(self, message: bytes, budget_ns: int = 100 * MS) -> None:
-        self._pump_ns[0] = self.drone.send(message, budget_ns, self.now_ns)
+        self._pump_at(0, self.drone.send(message, budget_ns, self.now_ns))
+
+    def _pump_at(self, end: int, due_ns: int | None) -> None:
+        self._pump_ns[end] = None if due_ns is None else due_ns + self.late_ns
 
     def urgent(self, end: int, message: bytes) -> None:
-        self._pump_ns[end] = self.ends[end].send_urgent(message, 100 * MS, self.now_ns)
+        self._pump_at(end, self.ends[end].send_urgent(message, 100 * MS, self.now_ns))
 
     def run_until(self, end_ns: int) -> None:
         while True:
@@ -182,12 +189,12 @@ class Path:
                 self.ends[end].settle(self.now_ns)
             for i, due_ns in enumerate(self._pump_ns):
                 if due_ns is not None and due_ns <= self.now_ns:
-                    self._pump_ns[i] = self.ends[i].pump(self.now_ns)
+                    self._pump_at(i, self.ends[i].pump(self.now_ns))
 
 
 def delays(path: Path, frames: int, length: int = 60_000, every_ns: int = 33 * MS) -> list[float]:
     """Delay [ms] of each frame, infinite for one that was lost; signs of life as in flight."""
-    rng = random.Random(3)
+    rng = random.Random(path.now_ns)
     sent = []
     for i in range(frames):
         if i % 8 == 0:
@@ -243,6 +250,69 @@ def test_bursts_are_asked_for_again() -> None:
     """3 % in bursts of 4: 97 % within 50 ms."""
     times = delays(Path(losses(0.03, burst=4)), 400)
     assert share_within(times, 50) >= 0.97
+
+
+LATE_MS = (0.1, 1, 5, 10)
+
+
+@pytest.mark.parametrize("late_ms", LATE_MS)
+@pytest.mark.parametrize("one_way_ms", [0.1, 5, 100])
+def test_a_sender_that_comes_late_finds_a_fast_path(late_ms: float, one_way_ms: float) -> None:
+    """It wakes late each time: within a second a frame leaves at once, or at its second waking."""
+    path = Path(never, int(one_way_ms * MS), rate_bps=10e9, late_ns=int(late_ms * MS))
+    times = delays(path, 60, length=70_000)
+    assert max(times[30:]) < one_way_ms + late_ms + 5
+    assert path.drone.state().goodput_bps > 300e6
+
+
+@pytest.mark.parametrize("late_ms", LATE_MS)
+@pytest.mark.parametrize("rate_bps", [2e6, 8e6, 20e6, 50e6, 200e6])
+def test_a_sender_that_comes_late_floods_no_slow_path(late_ms: float, rate_bps: float) -> None:
+    """As fast frames as the path takes: the rate is found, and of a frame little queues."""
+    length = 60_000 if rate_bps >= 8e6 else 20_000
+    takes_ms = length * 8e3 / rate_bps
+    path = Path(never, 5 * MS, rate_bps, int(late_ms * MS))
+    every_ns = int(max(33, 1.3 * takes_ms) * MS)
+    delays(path, 30, length, every_ns)
+    path.queue_ns = 0
+    times = delays(path, 60, length, every_ns)
+    burst_ms = max(8, late_ms * 1.25 * rate_bps / 8e3 / 1228) * 1228 * 8e3 / rate_bps
+    assert path.queue_ns / MS < 0.3 * takes_ms + burst_ms + 5
+    assert 0.8 * rate_bps < path.drone.state().goodput_bps < 1.2 * rate_bps
+    assert max(times) < 1.1 * takes_ms + 2 * late_ms + 10
+
+
+@pytest.mark.parametrize("late_ms", LATE_MS)
+@pytest.mark.parametrize(("before_bps", "after_bps"), [(10e9, 8e6), (8e6, 10e9)])
+def test_a_sender_that_comes_late_follows_the_path(
+    late_ms: float, before_bps: float, after_bps: float
+) -> None:
+    """A path becomes slow, or fast: known after ten frames, or a second."""
+    path = Path(never, 5 * MS, before_bps, int(late_ms * MS))
+    delays(path, 40, every_ns=80 * MS)
+    path.rate_bps = after_bps
+    delays(path, 14, every_ns=80 * MS)
+    assert path.drone.state().rate_bps < 15e6 or after_bps > 8e6
+    times = delays(path, 10, every_ns=80 * MS)
+    assert max(times) < 60_000 * 8e3 / after_bps + 15 + late_ms
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10**6), st.sampled_from([4e6, 20e6, 100e6]))
+def test_waking_at_random_floods_nothing(seed: int, rate_bps: float) -> None:
+    """However late it comes each time, and whatever is lost: no more queues than half a frame."""
+    rng = random.Random(seed)
+    path = Path(losses(rng.choice([0, 0.02]), 2, seed), 10 * MS, rate_bps)
+    takes_ns = int(60_000 * 8e9 / rate_bps)
+    for i in range(50):
+        if i == 25:
+            path.queue_ns = 0
+        path.late_ns = int(rng.choice([0, 0.3, 2, 8, 15, 40]) * MS)
+        if i % 8 == 0:
+            path.drone.ping(path.now_ns)
+        path.send(rng.randbytes(60_000))
+        path.run_until(path.now_ns + max(33 * MS, 2 * takes_ns))
+    assert path.queue_ns < 0.6 * takes_ns + 45 * MS
 
 
 def test_a_full_link_is_not_spent_on_parity() -> None:
