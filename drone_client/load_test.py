@@ -199,9 +199,17 @@ def load_test(
     tau_max_ms: Annotated[float | None, typer.Option(help=about("tau_max_ms"))] = None,
     window: Annotated[int | None, typer.Option(help=about("window"))] = None,
     key_file: Annotated[
-        Path | None, typer.Option(help="keys of load-0, load-1, ... for udp/ endpoints")
+        Path | None,
+        typer.Option(help="file with the keys of load-0, load-1, ... for udp/ endpoints"),
     ] = None,
-    tls: Annotated[Path | None, typer.Option(help=about("tls"))] = None,
+    tls: Annotated[
+        Path | None,
+        typer.Option(
+            help="for tls/ endpoints: folder with one folder of ca.pem, cert.pem and key.pem for "
+            "each of load-0, load-1, ..., as scripts/certificates makes them; or load-0's own, "
+            "for one drone"
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the result as JSON")] = False,
 ) -> None:
     """Load a service with many drones and say what each of them got.
@@ -217,7 +225,9 @@ def load_test(
     stop = threading.Event()
     try:
         for i in range(drones):
-            fleet.append(LoadDrone(f"load-{i}", settings, pictures, clock))
+            name = f"load-{i}"
+            own = settings.model_copy(update={"tls": _certificates_of(name, settings.tls, drones)})
+            fleet.append(LoadDrone(name, own, pictures, clock))
         for drone in fleet:
             wait_for_worker(drone.link, settings)
         start_ns = clock.now_ns()
@@ -263,6 +273,22 @@ def main() -> None:
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _certificates_of(name: str, tls: Path | None, drones: int) -> Path | None:
+    """The folder of one drone's certificate: a certificate has one name.
+
+    Raises:
+        ClientError: there are several drones, and this one has no folder.
+    """
+    if tls is None or (tls / name).is_dir():
+        return tls and tls / name
+    if drones == 1:
+        return tls
+    raise ClientError(
+        f"--tls {tls}: there is no folder {tls / name}, and {drones} drones need one each; "
+        f"scripts/certificates {tls} --drones load-0,...,load-{drones - 1} makes them"
+    )
 
 
 def _pictures(

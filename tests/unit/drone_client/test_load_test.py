@@ -16,8 +16,11 @@ import pytest
 from drone_client import load_test
 from drone_client.load_test import LoadDrone, LoadTally, summarise_load
 from drone_client.settings import ClientSettings
+from edge_service.transport.zenoh import ZenohAddress, ZenohTransport
 from rgbd_wire.clock import ManualClock, MonotonicClock
 from rgbd_wire.frame_codec import compress, decompress, unpack
+from rgbd_wire.tls_files import tls_files
+from tests.certificates import make_ends
 from tests.service_process import free_port
 from tests.unit.drone_client.builders import CAMERA, MS, SECOND, answering, eventually, frame
 from tests.unit.drone_client.zenoh_worker import ZenohWorker
@@ -115,6 +118,32 @@ def test_a_mistake_is_one_line_on_stderr_and_exit_code_2(command, monkeypatch, a
     assert (code, out) == (2, "")
     assert err.startswith("load-test: ")
     assert says in err
+    assert err.count("\n") == 1
+
+
+def test_each_drone_shows_a_certificate_of_its_own(command, tmp_path):
+    """Two drones of a folder that scripts/certificates makes, and one of its own folder."""
+    ends = make_ends(tmp_path / "ends", drones=("load-0", "load-1"))
+    endpoint = f"tls/localhost:{free_port()}"
+    tls = tls_files(ends / "worker-a")
+    address = ZenohAddress(listen=(endpoint,), tls=tls, drones=("load-0", "load-1"))
+    transport = ZenohTransport("worker-a", address)
+    transport.open()
+    heard = set()
+    try:
+        transport.start(lambda drone, *_: heard.add(drone))
+        transport.announce()
+        arguments = ("--duration", 0.5, "--connect", endpoint, "--tls")
+        code, out, err = command("--drones", 2, *arguments, ends, "--json")
+        assert (code, err) == (0, "")
+        assert json.loads(out)["frames_sent"] >= 2
+        assert heard == {"load-0", "load-1"}
+        assert command("--drones", 1, *arguments, ends / "load-0")[0] == 0
+        code, _, err = command("--drones", 3, *arguments, ends)
+    finally:
+        transport.close()
+    assert code == 2
+    assert f"there is no folder {ends / 'load-2'}, and 3 drones need one each" in err
     assert err.count("\n") == 1
 
 
