@@ -2,6 +2,7 @@
 # Sourced by the other scripts: a virtual environment with what a role needs, made once.
 #
 #   prepare EXTRAS     e.g. prepare drone,edge   ->   $ROOT/.venv
+#   help_of "$@"       for --help or -h: prints the script's own first comment, and ends it
 #
 # PYTHON           the interpreter to use (default: the first of python3.11 .. python3 that is new enough)
 # TORCH_INDEX_URL  a package index with CPU builds of torch; without it the default index decides, whose
@@ -13,6 +14,15 @@ BIN=$VENV/bin
 
 say() { printf '%s\n' "$*" >&2; }
 die() { say "error: $*"; exit 2; }
+
+help_of() {
+  case "${1:-}" in
+    -h | --help) ;;
+    *) return 0 ;;
+  esac
+  sed -n '2,/^[^#]/{s/^# \{0,1\}//p;}' "$0"
+  exit 0
+}
 
 find_python() {
   local candidate
@@ -46,6 +56,20 @@ prepare() {
   python=$(find_python)
   stamp=$VENV/.prepared-$extras-$({ cat "$ROOT/pyproject.toml"; "$python" -V; } | cksum | tr -d ' ')
   [ -e "$stamp" ] && return
+  # Two scripts at once would run pip in one environment. The lock ends with the file descriptor;
+  # where there is no flock (macOS) it goes without.
+  exec 9<"$ROOT/scripts/setup.sh"
+  if command -v flock >/dev/null && ! flock -n 9; then
+    say "waiting for another script that sets up .venv ..."
+    flock 9
+  fi
+  set_up "$extras" "$python" "$stamp"
+  exec 9<&-
+}
+
+set_up() {
+  local extras=$1 python=$2 stamp=$3
+  [ -e "$stamp" ] && return # another script did it meanwhile
   say "setting up .venv for $extras (once) ..."
   [ -x "$BIN/python" ] || make_venv "$python"
   # torch first and by itself, so that an index given for it serves nothing else
