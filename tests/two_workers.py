@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,18 +40,20 @@ class Pair:
                 env = {"EDGE_UDP_LISTEN": address, "EDGE_TUNNEL_KEYS": str(self.keys)}
             self.services[name] = service = ServiceProcess(folder, name, env)
             self.endpoints[name] = f"udp/{address}" if transport == "udp" else service.endpoint
-            service.start()
 
     def __enter__(self) -> Pair:
-        for service in self.services.values():
-            service.wait_ready()
+        # Both start at once, and neither outlives an error of the other
+        with ExitStack() as stack:
+            for service in self.services.values():
+                stack.callback(service.close)
+                service.start()
+            for service in self.services.values():
+                service.wait_ready()
+            self._close = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        for service in self.services.values():
-            if service.process.poll() is None:
-                service.process.send_signal(signal.SIGCONT)
-                service.kill()
+        self._close.close()
 
     @property
     def connect(self) -> str:
@@ -73,6 +76,15 @@ class Run:
         accepted = [f for f in self.frames if f.get("verdict") == "accepted"]
         return sorted(accepted, key=lambda f: f["t4_ns"])
 
+    def changes(self) -> list[dict[str, Any]]:
+        """Events of going from one worker to another, in order."""
+        return [e for e in self.events if e["event"] == "worker" and e["before"] is not None]
+
+    def worker_at(self, t_ns: int) -> str | None:
+        """Whom the drone sent to at a time of its clock."""
+        chosen = [e for e in self.events if e["event"] == "worker" and e["t_ns"] <= t_ns]
+        return chosen[-1]["now"] if chosen else None
+
 
 class Flying:
     """``drone-client replay`` as a process, over a recording that lasts."""
@@ -90,7 +102,7 @@ class Flying:
         """Wait for so many more accepted results, of one worker or of any.
 
         Returns:
-            The worker of the newest one.
+            The worker of the newest one; the drone may leave it by itself at any time.
         """
         give_up = time.monotonic() + GIVE_UP_S
         had = len(self._accepted_from())

@@ -5,6 +5,7 @@ measured by ``scripts/bench handover``.
 """
 
 import signal
+import time
 
 import pytest
 
@@ -13,8 +14,8 @@ from tests.two_workers import INTERRUPTED, Flying, Pair
 FAULTS = {"killed": signal.SIGKILL, "hung": signal.SIGSTOP, "drained": signal.SIGTERM}
 ENOUGH = 12
 """Accepted results before the fault, and again after it."""
-PATIENT = ("--tau-max-ms", "600", "--age-max-ms", "800")
-"""Two workers and a drone on two busy cores."""
+PATIENT = ("--tau-max-ms", "2500", "--age-max-ms", "3000")
+"""Two workers and a drone on two busy cores: none of their frames shall be too late there."""
 
 
 @pytest.fixture(scope="module", params=["zenoh", "udp"])
@@ -29,31 +30,36 @@ def pair_of(request, tmp_path_factory):
 
 @pytest.fixture(scope="module", params=sorted(FAULTS))
 def flight(request, pair_of, tmp_path_factory):
-    """A flight during which the worker in use gets a signal."""
+    """A flight during which the worker of the newest accepted result gets a signal.
+
+    On a busy machine the drone may change worker by itself before that, even in the very moment of
+    the signal: what it was sending to then stands in its own events.
+    """
     folder = tmp_path_factory.mktemp(request.param)
     with pair_of(request.param) as pair:
         flying = Flying(folder, pair, PATIENT)
         try:
             before = flying.wait_for_accepted(ENOUGH)
             other = next(name for name in pair.services if name != before)
+            fault_ns = time.monotonic_ns()  # one machine, one clock: the drone's as well
             pair.services[before].process.send_signal(FAULTS[request.param])
             flying.wait_for_accepted(ENOUGH, other)
             run = flying.land()
-            code = pair.services[before].process.wait(30) if request.param == "drained" else None
+            code = pair.services[before].process.wait(60) if request.param == "drained" else None
         finally:
             flying.close()
-    return request.param, before, other, run, code
+    return request.param, fault_ns, before, other, run, code
 
 
 def test_the_other_worker_takes_over(flight):
     """Accepted results from the one, then from the other, and the change stands in the events."""
-    _, before, other, run, _ = flight
+    _, fault_ns, before, other, run, _ = flight
     assert run.exit_code == INTERRUPTED
-    workers = [f["worker"] for f in run.accepted()]
-    assert workers[0] == before
-    assert workers[-1] == other
-    changes = [(e["before"], e["now"]) for e in run.events if e["event"] == "worker"]
-    assert (before, other) in changes
+    until_then = [f["worker"] for f in run.accepted() if f["t4_ns"] <= fault_ns]
+    assert before in until_then
+    assert run.accepted()[-1]["worker"] == other
+    assert (before, other) in [(e["before"], e["now"]) for e in run.changes()]
+    assert run.worker_at(time.monotonic_ns()) == other
 
 
 def test_each_frame_has_one_line_and_none_is_accepted_twice(flight):
@@ -67,16 +73,20 @@ def test_each_frame_has_one_line_and_none_is_accepted_twice(flight):
 
 def test_a_silent_worker_is_suspected_by_its_missing_replies(flight):
     """The lease would take seconds; the drone tells by what it did not get."""
-    fault, before, _, run, _ = flight
+    fault, fault_ns, before, _, run, _ = flight
     suspects = [e["worker"] for e in run.events if e["event"] == "suspect"]
-    if fault == "hung":
+    if fault == "hung" and run.worker_at(fault_ns) == before:
         assert before in suspects
 
 
 def test_a_drained_worker_answers_what_it_has_and_ends_well(flight):
-    """Exit code 0, and no frame of it is left without an answer."""
-    fault, before, _, run, code = flight
+    """Exit code 0, no frame of it is left without an answer, and so none is sent again."""
+    fault, fault_ns, before, _, run, code = flight
     if fault == "drained":
         assert code == 0
         assert not [f for f in run.frames if f["fate"] == "no_reply" and f["worker"] == before]
-        assert not [e for e in run.events if e["event"] == "copy" and e["why"] == "hand_over"]
+        left = [e["why"] for e in run.changes() if e["before"] == before and e["t_ns"] > fault_ns]
+        copies = [e for e in run.events if e["event"] == "copy" and e["t_ns"] > fault_ns]
+        # One that was slow to answer before it could say that it drains is left as any slow one is
+        if "suspect" not in left:
+            assert not [e for e in copies if e["why"] == "hand_over"]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.recordings import long_recording
-from tests.service_process import ServiceProcess
+from tests.service_process import service_process
 
 ENOUGH = 15
 """Accepted results before the kill, and again after the restart."""
@@ -18,14 +18,18 @@ INTERRUPTED = 130
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory):
+def service(tmp_path_factory):
+    """A service that is ready."""
+    with service_process(tmp_path_factory.mktemp("service")) as service:
+        yield service
+
+
+@pytest.fixture(scope="module")
+def flight(service, tmp_path_factory):
     """A replay during which the service is gone for a while; ledger, ticks, events, summary."""
     folder = tmp_path_factory.mktemp("kill")
     recording = long_recording(folder / "recording")
     out = folder / "run"
-    service = ServiceProcess(folder)
-    service.start()
-    service.wait_ready()
     client = Path(sys.executable).with_name("drone-client")
     command = [client, "replay", recording, "--connect", service.endpoint, "--out", out]
     command += ["--tau-max-ms", "400", "--age-max-ms", "500", "--no-plot"]
@@ -55,8 +59,6 @@ def flight(tmp_path_factory):
         assert process.wait(60) == INTERRUPTED
     finally:
         process.kill()
-        if service.process.poll() is None:
-            service.kill()
 
     def lines(name: str) -> list[dict]:
         return [json.loads(line) for line in (out / name).read_text().splitlines()]
