@@ -80,6 +80,8 @@ class Intake:
                 self._turn_away(drone, data, t2_ns, pace)
         except DecodeError as error:
             self._reject(error.reason.value, str(error))
+        except Exception as error:  # the network thread's boundary: it serves other drones, too
+            self._reject("fault", repr(error), error)
 
     def _on_probe(self, drone: str, data: bytes | memoryview, t2_ns: int) -> None:
         if self._probe_quotas.pace(drone, self._clock.now_ns()) is not Pace.FINE:
@@ -126,8 +128,9 @@ class Intake:
             loser, why = left
             self._replies.answer(loser.packed.header, loser.t2_ns, ANSWERS[why])
 
-    def _reject(self, reason: str, detail: str) -> None:
+    def _reject(self, reason: str, detail: str, fault: Exception | None = None) -> None:
         self._metrics.rejected.labels(reason).inc()
         if reason not in self._seen_rejects:  # the counter tells how often; the log, that it is so
             self._seen_rejects.add(reason)
-            log.warning("message refused", extra={"reason": reason, "detail": detail})
+            extra = {"reason": reason, "detail": detail}
+            log.warning("message refused", extra=extra, exc_info=fault)

@@ -24,7 +24,7 @@ SECONDS = (0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15,
 """Buckets around what a frame takes on a CPU and what a drone can wait."""
 BATCH_FRAMES = (1, 2, 3, 4, 6, 8, 12, 16)
 DROP_PLACES = ("intake", "worker")
-OWN_REJECTS = ("repeated", "wrong_drone", "too_fast")
+OWN_REJECTS = ("repeated", "wrong_drone", "too_fast", "fault")
 """Why messages are refused beside the reasons of ``Reject``."""
 
 

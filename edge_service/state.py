@@ -30,8 +30,10 @@ class ServiceState:
 
     @property
     def alive(self) -> bool:
-        """The worker's loop has come round lately, or is still to start."""
-        worker = self.worker
+        """The worker's loop has come round lately, or is still to start; the link's threads run."""
+        worker, transport = self.worker, self.transport
+        if transport is not None and not transport.is_alive:
+            return False
         return worker is None or worker.silent_ns <= self.settings.heartbeat_s * 1e9
 
     def readiness(self) -> dict[str, bool]:

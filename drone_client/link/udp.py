@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 import select
 import threading
+import time
 from collections.abc import Mapping
 
 from drone_client.errors import LinkError
 from drone_client.link import OnMessage, OnWorkers
-from drone_client.link.udp_endpoint import Endpoint, Line
+from drone_client.link.udp_endpoint import PING_EVERY_NS, Endpoint, Line
 from rgbd_wire.clock import Clock
 from rgbd_wire.streams import PROBE
 from rgbd_wire.tunnel.datagrams import DatagramSocket
 from rgbd_wire.tunnel.endpoint import parse_endpoint
 from rgbd_wire.tunnel.errors import Counters, EndpointError, Refusal
+from rgbd_wire.tunnel.faults import REST_S, Faults
 from rgbd_wire.tunnel.handshake import Welcome
 from rgbd_wire.tunnel.keys import PSK_BYTES
 from rgbd_wire.tunnel.pump import Pump
@@ -50,6 +52,7 @@ class UdpLink:
             raise LinkError(f"a key of {len(key)} bytes, the drone's key has {PSK_BYTES}")
         self._clock = clock
         self._counters = Counters()
+        self._faults = Faults(self._counters)
         try:
             places = [parse_endpoint(text) for text in dict.fromkeys(endpoints)]
         except EndpointError as error:
@@ -58,7 +61,7 @@ class UdpLink:
             Endpoint(drone, key, host, port, self._counters, self._rouse) for host, port in places
         )
         self._lines: Mapping[str, Line] = {}
-        self._pump = Pump("udp-send", clock)
+        self._pump = Pump("udp-send", clock, self._faults)
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._wake_lock = threading.Lock()
         self._closed = False
@@ -135,25 +138,40 @@ class UdpLink:
                 os.eventfd_write(self._wake, 1)
 
     def _run(self) -> None:
-        clock = self._clock
-        watched: dict[int, tuple[Endpoint, DatagramSocket]] = {}
-        poller = select.poll()
+        self._watched: dict[int, tuple[Endpoint, DatagramSocket]] = {}
+        self._poller = select.poll()
         while not self._closed:
-            now_ns = clock.now_ns()
-            due_ns = min([endpoint.step(now_ns) for endpoint in self._endpoints])
-            self._note_workers()
-            wanted = {s.fileno(): (e, s) for e in self._endpoints for s in e.sockets()}
-            if wanted != watched:
-                watched = wanted
-                poller = select.poll()
-                poller.register(self._wake, select.POLLIN)
-                for descriptor in watched:
-                    poller.register(descriptor, select.POLLIN)
-            for descriptor, _ in poller.poll(max(0.0, (due_ns - clock.now_ns()) / 1e6)):
-                if descriptor == self._wake:
-                    os.eventfd_read(self._wake)
-                else:
-                    self._drain(*watched[descriptor])
+            try:
+                self._turn()
+            except Exception as error:  # the thread's boundary: it serves all workers
+                self._faults.note(error, "the receiving thread")
+                time.sleep(REST_S)
+
+    def _turn(self) -> None:
+        """Do what is due, wait, and take what came."""
+        clock = self._clock
+        now_ns = clock.now_ns()
+        due_ns = min([self._step(endpoint, now_ns) for endpoint in self._endpoints])
+        self._note_workers()
+        wanted = {s.fileno(): (e, s) for e in self._endpoints for s in e.sockets()}
+        if wanted != self._watched:
+            self._watched = wanted
+            self._poller = select.poll()
+            self._poller.register(self._wake, select.POLLIN)
+            for descriptor in wanted:
+                self._poller.register(descriptor, select.POLLIN)
+        for descriptor, _ in self._poller.poll(max(0.0, (due_ns - clock.now_ns()) / 1e6)):
+            if descriptor == self._wake:
+                os.eventfd_read(self._wake)
+            else:
+                self._drain(*self._watched[descriptor])
+
+    def _step(self, endpoint: Endpoint, now_ns: int) -> int:
+        try:
+            return endpoint.step(now_ns)
+        except Exception as error:  # the others are served on
+            self._faults.note(error, "an endpoint")
+            return now_ns + PING_EVERY_NS
 
     def _drain(self, endpoint: Endpoint, sock: DatagramSocket) -> None:
         """Take what came on one socket."""
@@ -164,7 +182,8 @@ class UdpLink:
             if got.welcome is not None:
                 self._settle(endpoint, got.welcome)
             for message in got.messages:
-                self._on_message(message, got.now_ns)
+                with self._faults.contained("the application"):
+                    self._on_message(message, got.now_ns)
             got.settle()
 
     def _settle(self, endpoint: Endpoint, welcome: Welcome) -> None:
@@ -187,4 +206,5 @@ class UdpLink:
         }
         before, self._lines = self._lines, lines
         if before.keys() != lines.keys():
-            self._on_workers()
+            with self._faults.contained("the application"):
+                self._on_workers()

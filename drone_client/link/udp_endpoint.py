@@ -301,6 +301,8 @@ class Endpoint:
             dialled = connect_datagrams(family, address)
         except OSError as error:
             self._dialled = error
+        except UnicodeError as error:  # a label of a name that is too long
+            self._dialled = OSError(f"not a host name ({error})")
         else:
             self._dialled = dialled
             if self._closed:
@@ -400,6 +402,6 @@ class Endpoint:
 def _is_number(host: str) -> bool:
     try:
         socket.getaddrinfo(host, None, flags=socket.AI_NUMERICHOST)
-    except OSError:
+    except (OSError, UnicodeError):
         return False
     return True

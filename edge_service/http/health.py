@@ -19,11 +19,11 @@ def health_routes(state: ServiceState) -> APIRouter:
     @router.get(
         "/livez",
         response_model=LiveBody,
-        summary="Does the worker's loop go round?",
+        summary="Do the worker's loop and the link's threads go round?",
         responses={503: {"model": LiveBody, "description": "Stuck: start it anew."}},
     )
     async def livez() -> JSONResponse:
-        """For a liveness probe. 503 when the worker has been stuck for `EDGE_HEARTBEAT_S`."""
+        """503: stuck for `EDGE_HEARTBEAT_S`, or a thread of the link is gone."""
         worker = state.worker
         silent_s = None if worker is None else round(worker.silent_ns * 1e-9, 3)
         alive = state.alive

@@ -20,6 +20,11 @@ class Transport(Protocol):
         """Frames can come in: the listeners stand, or the router is connected."""
         ...
 
+    @property
+    def is_alive(self) -> bool:
+        """No thread of its own has ended before it was to."""
+        ...
+
     def open(self) -> None:
         """Open the link.
 

@@ -15,6 +15,7 @@ class MemoryTransport:
 
     def __init__(self) -> None:
         self.is_open = False
+        self.is_alive = True
         self.announced = False
         self.sent: list[tuple[str, Ack | Result | Probe]] = []
         """Drone and message."""

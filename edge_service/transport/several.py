@@ -27,6 +27,11 @@ class SeveralTransports:
         """All of them are: a worker with half of its ears is not ready."""
         return all(transport.is_open for transport in self._transports)
 
+    @property
+    def is_alive(self) -> bool:
+        """All of them are."""
+        return all(transport.is_alive for transport in self._transports)
+
     def open(self) -> None:
         """Open all, or none.
 

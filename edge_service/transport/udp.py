@@ -21,6 +21,7 @@ from rgbd_wire.tunnel.channel import Channel, Side
 from rgbd_wire.tunnel.datagrams import Address, DatagramSocket, bind_datagrams
 from rgbd_wire.tunnel.endpoint import parse_endpoint
 from rgbd_wire.tunnel.errors import Counters, EndpointError, Refusal, TunnelError
+from rgbd_wire.tunnel.faults import REST_S, Faults
 from rgbd_wire.tunnel.handshake import (
     Hello,
     answer_hello,
@@ -81,11 +82,12 @@ class UdpTransport:
         now_ns = self._clock.now_ns()
         self._secret = secrets.token_bytes(32)
         self._counters = Counters()
+        self._faults = Faults(self._counters)
         self._sessions = Sessions(max_sessions)
         self._inits = Bucket(INITS_HZ, INITS_BURST, now_ns)
         self._resets = Bucket(RESETS_HZ, RESETS_BURST, now_ns)
         self._in_pieces: set[WorkerSession] = set()
-        self._pump = Pump("udp-send", self._clock)
+        self._pump = Pump("udp-send", self._clock, self._faults)
         self._announced = False
         self._closed = False
         self._socket: DatagramSocket | None = None
@@ -95,8 +97,14 @@ class UdpTransport:
     @property
     def is_open(self) -> bool:
         """The socket stands, and once started, its thread runs."""
-        running = self._thread is None or self._thread.is_alive()
-        return self._socket is not None and not self._closed and running
+        return self._socket is not None and not self._closed and self.is_alive
+
+    @property
+    def is_alive(self) -> bool:
+        """Both threads run, or are not started yet, or were stopped."""
+        if self._thread is None or self._closed:
+            return True
+        return self._thread.is_alive() and self._pump.is_alive
 
     @property
     def port(self) -> int:
@@ -187,23 +195,31 @@ class UdpTransport:
         poller = select.poll()
         poller.register(sock.fileno(), select.POLLIN)
         poller.register(self._wake, select.POLLIN)
-        housekeeping_ns = due_ns = clock.now_ns()
+        self._housekeeping_ns = due_ns = clock.now_ns()
         while not self._closed:
-            poller.poll(max(0.0, (due_ns - clock.now_ns()) / 1e6))
-            for _ in range(MAX_BATCHES):
-                try:
-                    got = sock.receive()
-                except OSError as error:
-                    _log.warning("UDP socket: %s", error)
-                    break
-                if got is None:
-                    break
-                self._on_batch(*got, clock.now_ns())
-            now_ns = clock.now_ns()
-            if now_ns >= housekeeping_ns:
-                self._keep_house(now_ns)
-                housekeeping_ns = now_ns + HOUSEKEEPING_NS
-            due_ns = min(housekeeping_ns, self._tick(now_ns))
+            try:
+                poller.poll(max(0.0, (due_ns - clock.now_ns()) / 1e6))
+                self._receive(sock)
+                due_ns = self._do_due(clock.now_ns())
+            except Exception as error:  # the thread's boundary: it serves all drones
+                self._faults.note(error, "the receiving thread")
+                time.sleep(REST_S)
+
+    def _receive(self, sock: DatagramSocket) -> None:
+        """Take what came."""
+        for _ in range(MAX_BATCHES):
+            got = sock.receive()
+            if got is None:
+                return
+            with self._faults.contained("a datagram's handling"):
+                self._on_batch(*got, self._clock.now_ns())
+
+    def _do_due(self, now_ns: int) -> int:
+        """What the time brings; when to come back."""
+        if now_ns >= self._housekeeping_ns:
+            self._housekeeping_ns = now_ns + HOUSEKEEPING_NS
+            self._keep_house(now_ns)
+        return min(self._housekeeping_ns, self._tick(now_ns))
 
     def _tick(self, now_ns: int) -> int:
         """Ask for lost symbols; when to come back."""
@@ -275,7 +291,8 @@ class UdpTransport:
             if not session.quota.messages.take(now_ns):
                 self._counters.count(Refusal.DRONE_RATE)
             elif self._on_message is not None:
-                self._on_message(session.drone, message, now_ns)
+                with self._faults.contained("the application"):
+                    self._on_message(session.drone, message, now_ns)
 
     def _goodbye_again(self, session: WorkerSession, now_ns: int) -> None:
         """The drone still talks to a worker that has withdrawn: maybe it did not hear that."""

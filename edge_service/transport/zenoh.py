@@ -188,6 +188,11 @@ class ZenohTransport:
             return False
         return bool(self._address.listen or session.info.routers_zid())
 
+    @property
+    def is_alive(self) -> bool:
+        """Its threads are Zenoh's own, and go on whatever a callback does."""
+        return True
+
     def open(self) -> None:
         """Open the session.
 

@@ -39,6 +39,8 @@ class Refusal(StrEnum):
     LATE = "late"
     UNWANTED = "unwanted"
     NOT_SENT = "not_sent"
+    FAULT = "fault"
+    """An exception of this side's own; the thread went on."""
 
 
 class TunnelError(WireError):

@@ -6,6 +6,7 @@ import threading
 
 from rgbd_wire.clock import Clock
 from rgbd_wire.tunnel.channel import Channel
+from rgbd_wire.tunnel.faults import Faults
 
 
 class Pump:
@@ -14,14 +15,21 @@ class Pump:
     Args:
         name: of the thread.
         clock: own clock.
+        faults: where what goes wrong with a channel is counted; the others are served on.
     """
 
-    def __init__(self, name: str, clock: Clock) -> None:
+    def __init__(self, name: str, clock: Clock, faults: Faults) -> None:
         self._clock = clock
+        self._faults = faults
         self._due: dict[Channel, int] = {}
         self._wake = threading.Condition()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    @property
+    def is_alive(self) -> bool:
+        """The thread runs."""
+        return self._thread.is_alive()
 
     def start(self) -> None:
         """Begin."""
@@ -48,7 +56,8 @@ class Pump:
     def _run(self) -> None:
         while (ready := self._wait()) is not None:
             for channel in ready:
-                self.at(channel, channel.pump(self._clock.now_ns()))
+                with self._faults.contained("the pump"):  # it is not due again, so this cannot spin
+                    self.at(channel, channel.pump(self._clock.now_ns()))
 
     def _wait(self) -> list[Channel] | None:
         with self._wake:

@@ -210,11 +210,10 @@ class Sending:
         departures = outgoing.departures
         if not departures:
             outgoing.was_path_free = self._pacer.is_path_free(now_ns)
-        elif now_ns == outgoing.left_ns:
-            return
-        elif self._pacer.late_ns < PAUSE_NS and (outgoing.data_left or not outgoing.parity_ns):
-            return
-        departures.append((now_ns, outgoing.next_symbol))
+        parity_waited = outgoing.parity_ns > 0 and not outgoing.data_left
+        paused = parity_waited or self._pacer.late_ns >= PAUSE_NS
+        if not departures or (paused and now_ns > outgoing.left_ns):
+            departures.append((now_ns, outgoing.next_symbol))
 
     def _outgoing(self, message: bytes, budget_ns: int, now_ns: int, *, crowded: bool) -> Outgoing:
         if not 0 < len(message) <= MAX_MESSAGE_BYTES:

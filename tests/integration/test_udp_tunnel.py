@@ -17,6 +17,7 @@ from drone_client.link.udp import UdpLink
 from edge_service.errors import AddressError
 from edge_service.transport.udp import RESETS_BURST, UdpTransport
 from rgbd_wire.clock import MonotonicClock
+from rgbd_wire.tunnel.faults import REST_S
 from rgbd_wire.tunnel.handshake import INIT_BYTES, pack_hello, pack_init, parse_cookie
 from rgbd_wire.tunnel.keys import KeyFile
 from rgbd_wire.tunnel.packet import Type, first_byte
@@ -416,6 +417,67 @@ def test_keys_are_renewed_in_flight(
         drone.ask(frame(i))
     assert len({datagram[1:9] for up, datagram in relay.seen if datagram[0] == UP}) > 2
     assert drone.changes == [("worker-a",)]
+
+
+def test_an_application_that_raises_costs_one_message(
+    keys: Path, stage: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """On either end: counted, logged once, both go on, and the worker counts as alive."""
+    worker = stage(Worker(keys))
+    drone = stage(Drone(worker.port))
+    drone.up("worker-a")
+    good = worker.transport._on_message, drone.link._on_message
+
+    def bad(*_: object) -> None:
+        raise RuntimeError("of the application's own")
+
+    worker.transport._on_message = bad
+    for i in range(3):
+        drone.link.send("worker-a", frame(i, 500), 10**9)
+    eventually(lambda: worker.counts().get("fault") == 3)
+    worker.transport._on_message, drone.link._on_message = good[0], bad
+    drone.link.send("worker-a", frame(3, 500), 10**9)
+    eventually(lambda: drone.link.counters()["fault"] == 1)
+    drone.link._on_message = good[1]
+    drone.ask(frame(4))
+    assert worker.transport.is_alive
+    assert [r.message for r in caplog.records] == ["fault in the application; it goes on"] * 2
+
+
+def test_a_thread_that_fails_goes_on_and_rests(
+    keys: Path, stage: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sockets, timers and the pump raise what nobody thought of: all goes on once they are well."""
+    worker = stage(Worker(keys))
+    drone = stage(Drone(worker.port))
+    drone.up("worker-a")
+
+    def bad(*_: object) -> None:
+        raise RuntimeError("unheard of")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("rgbd_wire.tunnel.channel.Channel.pump", bad)
+        drone.link.send("worker-a", frame(1, 400_000), 10**9)
+        eventually(lambda: drone.link.counters()["fault"])
+        patch.setattr("rgbd_wire.tunnel.datagrams.DatagramSocket.receive", bad)
+        patch.setattr("rgbd_wire.tunnel.sessions.Sessions.expire", bad)
+        drone.link.send("worker-a", frame(2), 10**9)
+        began_s = time.monotonic()
+        eventually(lambda: worker.counts().get("fault", 0) > 5)
+        faults, waited_s = worker.counts()["fault"], time.monotonic() - began_s
+        assert faults < 5 + 2 * waited_s / REST_S  # it does not spin
+    drone.up("worker-a")
+    drone.ask(frame(3))
+
+
+def test_a_worker_whose_thread_is_gone_is_not_alive(keys: Path, stage: Any) -> None:
+    """What no boundary holds ends the thread: the worker is neither alive nor open."""
+    worker = stage(Worker(keys))
+    assert worker.transport.is_alive
+    pump = worker.transport._pump
+    pump.close()
+    assert not worker.transport.is_alive
+    assert not worker.transport.is_open
 
 
 def test_nothing_runs_on_after_close(keys: Path) -> None:

@@ -251,3 +251,23 @@ def test_a_refusal_is_logged_once_for_each_reason(caplog):
     bench.deliver(flipped(4))
     bench.drain()
     assert [r.reason for r in caplog.records] == ["truncated", "wrong_version"]
+
+
+def test_a_fault_of_the_workers_own_ends_no_network_thread(monkeypatch, caplog):
+    """What nobody thought of costs its message: counted, logged once, the next one is served."""
+    bench = Bench()
+    bench.service.start()
+
+    def bad(*_):
+        raise RuntimeError("unheard of")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("edge_service.mailbox.Mailbox.admit", bad)
+        for sequence in range(3):
+            bench.deliver(message(sequence=sequence))
+    bench.deliver(message(sequence=3))
+    bench.drain()
+    assert bench.count("edge_rejected_total", reason="fault") == 3
+    assert [r.message for r in caplog.records] == ["message refused"]
+    assert caplog.records[0].exc_info
+    assert [r.sequence for r in bench.transport.results()] == [3]

@@ -256,6 +256,16 @@ def test_a_worker_that_comes_round_is_alive_again():
     bench.drain()
 
 
+def test_a_service_whose_link_has_lost_a_thread_is_not_alive():
+    """Nothing would come in any more, whatever the worker's loop does."""
+    bench = Bench()
+    bench.service.start()
+    assert bench.state.alive
+    bench.transport.is_alive = False
+    assert not bench.state.alive
+    bench.drain()
+
+
 def test_a_service_that_is_still_starting_is_alive():
     """Before there is a worker nothing is stuck."""
     bench = Bench()
