@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from edge_service.detector.engine import TorchDetector
 from edge_service.guarded import GuardedDetector
@@ -50,9 +51,18 @@ class Links:
     transport: Transport
     """All of them."""
     tunnel: UdpTransport | None
-    lines: tuple[str, ...]
-    """For the start, one of each."""
+    zenoh_line: str | None
+    """Where Zenoh is, for the start."""
+    keys: Path | None
+    """Where the tunnel's keys are."""
     warnings: tuple[str, ...]
+
+    def lines(self) -> tuple[str, ...]:
+        """For the start, one of each; once they are open, with the ports that they got."""
+        lines = [self.zenoh_line] if self.zenoh_line else []
+        if self.tunnel is not None:
+            lines.append(f"udp    {self.tunnel.place}, keys in {self.keys}")
+        return tuple(lines)
 
 
 def make_links(settings: EdgeSettings, clock: Clock) -> Links:
@@ -63,14 +73,14 @@ def make_links(settings: EdgeSettings, clock: Clock) -> Links:
         KeyFileError: the keys of the tunnel cannot be used.
     """
     transports: list[Transport] = []
-    lines: list[str] = []
+    zenoh_line = None
     warnings: list[str] = []
     if settings.has_zenoh:
         zenoh = _make_zenoh(settings)
         transports.append(zenoh)
         joined = ", ".join(settings.connect_endpoints)
         at = f"joins {joined}" if joined else ", ".join(settings.listen_endpoints)
-        lines.append(f"zenoh  {at}")
+        zenoh_line = f"zenoh  {at}"
         warnings.extend(zenoh.warnings)
     tunnel = None
     if settings.udp_listen:
@@ -84,9 +94,12 @@ def make_links(settings: EdgeSettings, clock: Clock) -> Links:
             ) from None
         tunnel = UdpTransport(settings.name, f"udp/{settings.udp_listen}", keys, clock)
         transports.append(tunnel)
-        lines.append(f"udp    {settings.udp_listen}, keys in {settings.tunnel_keys}")
+        if not keys:
+            warnings.append(
+                f"{settings.tunnel_keys} holds no key: no drone can come in over UDP until it does"
+            )
     whole = transports[0] if len(transports) == 1 else SeveralTransports(transports)
-    return Links(whole, tunnel, tuple(lines), tuple(warnings))
+    return Links(whole, tunnel, zenoh_line, settings.tunnel_keys, tuple(warnings))
 
 
 def _make_zenoh(settings: EdgeSettings) -> ZenohTransport:

@@ -72,7 +72,7 @@ def _bring_up(settings: EdgeSettings, state: ServiceState) -> EdgeService:
     state.transport = links.transport
     if links.tunnel is not None:
         state.metrics.follow_tunnel(links.tunnel.counters)
-    for line in links.lines:
+    for line in links.lines():
         _say(line)
     try:
         pipeline = make_pipeline(settings, clock)

@@ -112,6 +112,13 @@ class UdpTransport:
         assert self._socket is not None, "open first"
         return self._socket.port
 
+    @property
+    def place(self) -> str:
+        """``HOST:PORT`` where it listens; port 0, any free one, only before it is open."""
+        host = self._endpoint.removeprefix("udp/").rpartition(":")[0]
+        port = self._endpoint.rpartition(":")[2] if self._socket is None else self._socket.port
+        return f"{host}:{port}"
+
     def counters(self) -> Mapping[str, int]:
         """How much was refused, by reason."""
         return self._counters.snapshot()

@@ -69,10 +69,10 @@ def parse_keys(text: str, source: str) -> Mapping[str, bytes]:
 
 
 def load_keys(path: Path) -> Mapping[str, bytes]:
-    """Key by drone, of a file; warns if everybody may read it.
+    """Key by drone, of a file.
 
     Raises:
-        KeyFileError: it cannot be read, is too large, or a line is wrong.
+        KeyFileError: it cannot be read, is open to others, is too large, or a line is wrong.
     """
     try:
         with path.open("rb") as file:
@@ -82,8 +82,11 @@ def load_keys(path: Path) -> Mapping[str, bytes]:
         raise KeyFileError(f"{path}: {error.strerror}") from None
     if len(data) > MAX_FILE_BYTES:
         raise KeyFileError(f"{path}: more than {MAX_FILE_BYTES} bytes")
-    if stat.S_ISREG(mode) and mode & stat.S_IROTH:
-        _log.warning("%s: everybody on this machine can read the keys; chmod 600", path)
+    # The group may read it: that is how a cluster hands a secret to a process that is not root
+    if stat.S_ISREG(mode) and mode & (stat.S_IROTH | stat.S_IWOTH | stat.S_IWGRP):
+        raise KeyFileError(
+            f"{path} is open to others (mode {stat.S_IMODE(mode):04o}); chmod 600 {path}"
+        )
     try:
         return parse_keys(data.decode("ascii"), str(path))
     except UnicodeDecodeError:
@@ -116,6 +119,10 @@ class KeyFile:
         self._keys = load_keys(path)
         self._checked_ns: int | None = None
 
+    def __len__(self) -> int:
+        """How many drones have a key."""
+        return len(self._keys)
+
     def get(self, drone: str) -> bytes | None:
         """Key of a drone, None: it has none."""
         return self._keys.get(drone)
@@ -138,9 +145,9 @@ class KeyFile:
         self._keys = keys
         return changed
 
-    def _look(self) -> tuple[int, int, int] | None:
+    def _look(self) -> tuple[int, ...] | None:
         try:
             found = self._path.stat()  # through links, as Kubernetes swaps secrets by one
         except OSError:
             return None
-        return found.st_mtime_ns, found.st_ino, found.st_size
+        return found.st_mtime_ns, found.st_ino, found.st_size, found.st_mode

@@ -34,8 +34,8 @@ def test_zenoh_alone_is_the_default():
     made = links()
     assert isinstance(made.transport, ZenohTransport)
     assert made.tunnel is None
-    assert made.lines == ("zenoh  tcp/0.0.0.0:7447",)
-    assert links(zenoh_connect="tcp/router:1").lines == ("zenoh  joins tcp/router:1",)
+    assert made.lines() == ("zenoh  tcp/0.0.0.0:7447",)
+    assert links(zenoh_connect="tcp/router:1").lines() == ("zenoh  joins tcp/router:1",)
 
 
 def test_the_tunnel_alone(keys):
@@ -43,7 +43,19 @@ def test_the_tunnel_alone(keys):
     made = links(zenoh_listen="", udp_listen="127.0.0.1:0", tunnel_keys=keys)
     assert isinstance(made.transport, UdpTransport)
     assert made.transport is made.tunnel
-    assert made.lines == (f"udp    127.0.0.1:0, keys in {keys}",)
+    made.transport.open()
+    assert made.lines() == (f"udp    127.0.0.1:{made.tunnel.port}, keys in {keys}",)
+    assert made.tunnel.port > 0
+    made.transport.close()
+
+
+def test_a_file_without_keys_is_warned_of(tmp_path):
+    """It may be filled later, and until then nobody can come in."""
+    path = tmp_path / "keys"
+    path.write_text("# none yet\n")
+    path.chmod(0o640)
+    (warning,) = links(udp_listen="127.0.0.1:0", tunnel_keys=path).warnings
+    assert warning.startswith(f"{path} holds no key")
 
 
 def test_both_over_tls_open_and_close(keys, tmp_path):
@@ -56,7 +68,7 @@ def test_both_over_tls_open_and_close(keys, tmp_path):
         tunnel_keys=keys,
     )
     assert isinstance(made.transport, SeveralTransports)
-    assert len(made.lines) == 2
+    assert len(made.lines()) == 2
     made.transport.open()
     assert made.transport.is_open
     assert made.tunnel.is_open

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 from pathlib import Path
 
 import pytest
@@ -84,17 +83,34 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path) -> None:
             load_keys(path)
 
 
-def test_a_file_that_everybody_reads_is_warned_of(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Mode 644 is taken with a warning, 600 without."""
+@pytest.mark.parametrize("mode", [0o644, 0o604, 0o602, 0o620, 0o666])
+def test_a_file_that_is_open_to_others_is_refused(tmp_path: Path, mode: int) -> None:
+    """For a worker and a drone alike; the message says what to do."""
     path = key_file(tmp_path, f"a {KEY}")
-    with caplog.at_level(logging.WARNING):
-        load_keys(path)
-        assert not caplog.records
-        path.chmod(0o644)
-        load_keys(path)
-    assert "everybody" in caplog.text
+    path.chmod(mode)
+    for read in (load_keys, KeyFile, lambda it: load_key(it, "a")):
+        with pytest.raises(KeyFileError, match=f"mode {mode:04o}.; chmod 600 {path}"):
+            read(path)
+
+
+def test_a_new_file_that_is_open_to_others_waits_for_its_mode(tmp_path: Path) -> None:
+    """It is refused in flight, too, and taken once nobody else can read it."""
+    path = key_file(tmp_path, f"a {KEY}")
+    keys = KeyFile(path)
+    path.write_text(f"b {KEY}", encoding="ascii")
+    path.chmod(0o644)
+    assert not keys.refresh(0)
+    path.chmod(0o600)
+    assert keys.refresh(CHECK_EVERY_NS)
+    assert keys.get("b")
+
+
+@pytest.mark.parametrize("mode", [0o400, 0o600, 0o440, 0o640])
+def test_the_group_may_read_it(tmp_path: Path, mode: int) -> None:
+    """That is how a cluster hands out secrets."""
+    path = key_file(tmp_path, f"a {KEY}")
+    path.chmod(mode)
+    assert len(KeyFile(path)) == 1
 
 
 def test_one_key_of_a_file(tmp_path: Path) -> None:
@@ -112,6 +128,7 @@ def test_a_changed_file_is_read_again_once_a_second(tmp_path: Path) -> None:
     assert not keys.refresh(0)
     other = tmp_path / "new"
     other.write_text(f"b {KEY}", encoding="ascii")
+    other.chmod(0o600)
     other.replace(path)
     assert not keys.refresh(CHECK_EVERY_NS - 1)
     assert keys.get("a")
