@@ -6,7 +6,11 @@ import json
 import logging
 import sys
 
+from edge_service.log_limit import LogLimit
+
 _STANDARD = frozenset(logging.makeLogRecord({}).__dict__) | {"message", "asctime", "taskName"}
+_AT_STRANGERS_WILL = ("uvicorn", "asyncio")
+"""Loggers that warn of what anybody may send."""
 _FOR_TERMINALS = {"color_message"}  # uvicorn's second copy of its message
 
 
@@ -31,4 +35,6 @@ def configure(level: str) -> None:
     """Send records of ``level`` and above to stderr."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter())
+    for name in _AT_STRANGERS_WILL:
+        handler.addFilter(LogLimit(name))
     logging.basicConfig(level=level, handlers=[handler], force=True)

@@ -38,6 +38,17 @@ def test_a_record_is_one_line_with_its_extras(capsys):
     }
 
 
+def test_what_strangers_make_the_http_server_say_is_bounded(capsys):
+    """A flood of garbage is one line; our own lines are all there."""
+    configure("WARNING")
+    for _ in range(1000):
+        logging.getLogger("uvicorn.error").warning("Invalid HTTP request received.")
+        logging.getLogger("edge_service.some").warning("ours")
+    lines = [json.loads(line)["message"] for line in capsys.readouterr().err.splitlines()]
+    assert lines.count("Invalid HTTP request received.") == 1
+    assert lines.count("ours") == 1000
+
+
 def test_a_traceback_stays_on_its_line():
     """An exception is a field, and what JSON does not know is written as text."""
     try:
