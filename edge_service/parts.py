@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,8 @@ from rgbd_wire.tunnel.keys import KeyFile
 from target_pose.localise import localise
 from target_pose.nesting import group
 from target_pose.target import load_target
+
+_LOOPBACK = re.compile(r"[a-z]+/(127\.[\d.]+|localhost|\[::1\]):\d+$")
 
 
 def make_pipeline(settings: EdgeSettings, clock: Clock) -> Pipeline:
@@ -94,12 +97,23 @@ def make_links(settings: EdgeSettings, clock: Clock) -> Links:
             ) from None
         tunnel = UdpTransport(settings.name, f"udp/{settings.udp_listen}", keys, clock)
         transports.append(tunnel)
+        if settings.has_zenoh and settings.zenoh_tls is None and not _is_local(settings):
+            warnings.append(
+                "the tunnel asks for keys, but whoever reaches plain Zenoh can use any drone's "
+                "name: give Zenoh certificates (--tls), or none at all (--listen '')"
+            )
         if not keys:
             warnings.append(
                 f"{settings.tunnel_keys} holds no key: no drone can come in over UDP until it does"
             )
     whole = transports[0] if len(transports) == 1 else SeveralTransports(transports)
     return Links(whole, tunnel, zenoh_line, settings.tunnel_keys, tuple(warnings))
+
+
+def _is_local(settings: EdgeSettings) -> bool:
+    """Zenoh listens on this machine's own addresses alone."""
+    endpoints = settings.listen_endpoints
+    return bool(endpoints) and all(_LOOPBACK.match(endpoint) for endpoint in endpoints)
 
 
 def _make_zenoh(settings: EdgeSettings) -> ZenohTransport:

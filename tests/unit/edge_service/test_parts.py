@@ -54,7 +54,7 @@ def test_a_file_without_keys_is_warned_of(tmp_path):
     path = tmp_path / "keys"
     path.write_text("# none yet\n")
     path.chmod(0o640)
-    (warning,) = links(udp_listen="127.0.0.1:0", tunnel_keys=path).warnings
+    (warning,) = links(zenoh_listen="", udp_listen="127.0.0.1:0", tunnel_keys=path).warnings
     assert warning.startswith(f"{path} holds no key")
 
 
@@ -74,6 +74,22 @@ def test_both_over_tls_open_and_close(keys, tmp_path):
     assert made.tunnel.is_open
     made.transport.close()
     assert not made.tunnel.is_open
+
+
+@pytest.mark.parametrize(
+    ("listen", "warns"),
+    [
+        ("tcp/0.0.0.0:7447", True),
+        ("tcp/127.0.0.1:7447,tcp/192.0.2.7:7447", True),
+        ("tcp/127.0.0.1:7447,tcp/[::1]:7447,tcp/localhost:7447", False),
+        ("", False),
+    ],
+)
+def test_a_tunnel_beside_plain_zenoh_is_told(keys, listen, warns):
+    """Its keys guard nothing when anybody may use a drone's name next to it."""
+    made = links(zenoh_listen=listen, udp_listen="127.0.0.1:0", tunnel_keys=keys)
+    assert any("plain Zenoh" in warning for warning in made.warnings) == warns
+    assert not any("plain Zenoh" in warning for warning in links().warnings)
 
 
 def test_files_that_cannot_be_used_are_told_before_anything_opens(tmp_path):
