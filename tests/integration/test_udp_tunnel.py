@@ -141,6 +141,22 @@ def test_a_worker_that_is_gone_is_noticed_at_once(keys: Path, stage: Any) -> Non
     assert drone.changes == [("worker-a",), (), ("worker-b",)]
 
 
+def test_a_port_unreachable_ends_a_session_for_good(keys: Path, stage: Any) -> None:
+    """Also if the worker is there, and answers in it: the next session brings it back."""
+    worker = stage(Worker(keys))
+    relay = stage(Relay(worker.port, lambda up, datagram: False))
+    drone = stage(Drone(relay.port))
+    drone.up("worker-a")
+    (endpoint,) = drone.link._endpoints
+    line = endpoint.line
+    line.refused = True
+    drone.link._rouse()
+    eventually(lambda: drone.changes == [("worker-a",), (), ("worker-a",)])
+    assert endpoint.line is not line
+    assert worker.transport.sessions() == 2
+    drone.ask(frame(1))
+
+
 def test_a_draining_worker_leaves_the_list_and_still_answers(keys: Path, stage: Any) -> None:
     """A goodbye takes a worker out; what is under way is answered; announced again it is back."""
     worker = stage(Worker(keys))
@@ -150,6 +166,7 @@ def test_a_draining_worker_leaves_the_list_and_still_answers(keys: Path, stage: 
     drone.up()
     assert worker.transport.send("drone-1", b"late answer")
     eventually(lambda: b"late answer" in drone.got)
+    assert drone.link.workers() == ()  # what still comes in that session does not bring it back
     worker.transport.announce()
     drone.up("worker-a")
     drone.ask(frame(1))
