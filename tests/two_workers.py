@@ -117,7 +117,7 @@ class Flying:
     def land(self) -> Run:
         """Ctrl-C; what the run left."""
         self.process.send_signal(signal.SIGINT)
-        exit_code = self.process.wait(60)
+        exit_code = self.process.wait(GIVE_UP_S)
         files = (self._lines(f"{name}.jsonl") for name in ("ledger", "ticks", "events"))
         summary = json.loads((self.out / "summary.json").read_text())
         return Run(*files, summary, exit_code)

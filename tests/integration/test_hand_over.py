@@ -87,6 +87,7 @@ def test_a_drained_worker_answers_what_it_has_and_ends_well(flight):
         assert not [f for f in run.frames if f["fate"] == "no_reply" and f["worker"] == before]
         left = [e["why"] for e in run.changes() if e["before"] == before and e["t_ns"] > fault_ns]
         copies = [e for e in run.events if e["event"] == "copy" and e["t_ns"] > fault_ns]
-        # One that was slow to answer before it could say that it drains is left as any slow one is
-        if "suspect" not in left:
+        # On a starved machine the drone may see the end before the word that it drains, or have
+        # waited too long for an answer before: it leaves such a one as any that is lost
+        if not {"gone", "suspect"} & set(left):
             assert not [e for e in copies if e["why"] == "hand_over"]

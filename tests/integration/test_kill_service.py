@@ -32,7 +32,7 @@ def flight(service, tmp_path_factory):
     out = folder / "run"
     client = Path(sys.executable).with_name("drone-client")
     command = [client, "replay", recording, "--connect", service.endpoint, "--out", out]
-    command += ["--tau-max-ms", "400", "--age-max-ms", "500", "--no-plot"]
+    command += ["--tau-max-ms", "2000", "--age-max-ms", "2500", "--no-plot"]
 
     ledger = out / "ledger.jsonl"
 
