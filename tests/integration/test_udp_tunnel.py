@@ -421,6 +421,19 @@ def test_a_name_is_resolved_until_one_of_its_addresses_answers(keys: Path, stage
     drone.ask(frame(1))
 
 
+def test_a_host_that_is_no_name_is_told_of_and_costs_no_other(
+    keys: Path, stage: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A label of 64 letters is refused by the resolver in a way of its own."""
+    worker = stage(Worker(keys))
+    endpoints = (f"udp/{'a' * 64}.example:1", f"udp/127.0.0.1:{worker.port}")
+    link = stage(UdpLink("drone-1", endpoints, KEYS["drone-1"], MonotonicClock()))
+    link.start(lambda message, t4_ns: None, lambda: None)
+    eventually(lambda: link.workers() == ("worker-a",))
+    eventually(lambda: "not a host name" in caplog.text)
+    assert link.counters()["fault"] == 0
+
+
 def test_keys_are_renewed_in_flight(
     keys: Path, stage: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
