@@ -42,9 +42,9 @@ def summary_rows(summary: dict[str, Any]) -> dict[str, str]:
         "target": counts("updates"),
         "encodings": counts("encodings"),
         "d1 + d2 [ms]": (
-            f"{times('network_delay_ms')}  of accepted results (tau_max {summary['tau_max_ms']:g})"
+            f"{times('network_delay_ms')}  of accepted (tau_max {summary['tau_max_ms']:g})"
         ),
-        "age [ms]": f"{times('age_ms')}  of accepted results (age_max {summary['age_max_ms']:g})",
+        "age [ms]": f"{times('age_ms')}  of accepted (age_max {summary['age_max_ms']:g})",
         "service [ms]": times("service_ms"),
         "control ticks": f"{summary['ticks']}: {counts('known')}",
         "filter": counts("statuses"),

@@ -47,8 +47,8 @@ def state(**fields):
 def test_the_age_is_said_to_be_that_of_accepted_results():
     """A result that the gate refused was older than this maximum."""
     rows = summary_rows(summary())
-    assert rows["age [ms]"].endswith("max 90.0  of accepted results (age_max 300)")
-    assert rows["d1 + d2 [ms]"].endswith("max 90.0  of accepted results (tau_max 250)")
+    assert rows["age [ms]"].endswith("max 90.0  of accepted (age_max 300)")
+    assert rows["d1 + d2 [ms]"].endswith("max 90.0  of accepted (tau_max 250)")
     assert "service [ms]" in rows
     assert not {k for k in rows if k.isupper()}
 
