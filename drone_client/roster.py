@@ -21,6 +21,7 @@ from drone_client.worker_choice import ranked
 from rgbd_wire.messages import Status
 
 REMEMBERED_STARTS = 8
+MAX_REMEMBERED = 64
 DEFAULT_ROUND_TRIP_NS = 20_000_000
 """Of a worker that was not measured yet: neither the best nor the worst."""
 
@@ -105,6 +106,8 @@ class Roster:
         self._workers: dict[str, _Worker] = {}
         self._current: str | None = None
         self._same_name: set[str] = set()
+        self._went_draining: set[str] = set()
+        """Workers that are gone after they had said that they would: they answer what they have."""
         self._better_since_ns: int | None = None
         digest = hashlib.blake2b(drone.encode(), digest_size=8).digest()
         self._patience_ns = self._settings.better_for_ns + (
@@ -124,7 +127,9 @@ class Roster:
     def see(self, live: Collection[str]) -> None:
         """Take over who is alive as far as the link knows; one that comes back starts afresh."""
         for name in [n for n in self._workers if n not in live]:
-            del self._workers[name]
+            if self._workers.pop(name).draining and len(self._went_draining) < MAX_REMEMBERED:
+                self._went_draining.add(name)
+        self._went_draining.difference_update(live)
         for name in live:
             self._workers.setdefault(name, _Worker())
 
@@ -139,6 +144,13 @@ class Roster:
             return Standing.SUSPECT
         full = w.status is not None and w.status.drones >= w.status.max_drones
         return Standing.FULL if full and worker != self._current else Standing.WILLING
+
+    def keeps_its_frames(self, worker: str) -> bool:
+        """Whether a worker that is left still answers what it has: it drains, or works."""
+        standing = self.standing(worker)
+        if standing is Standing.GONE:
+            return worker in self._went_draining
+        return standing is not Standing.SUSPECT
 
     def standings(self) -> dict[str, str]:
         """All of them, for people to read."""

@@ -196,7 +196,7 @@ class WorkerWatch:
 
         A draining worker answers what it has: nothing is lost.
         """
-        if self._roster.standing(before) in (Standing.DRAINING, Standing.WILLING):
+        if self._roster.keeps_its_frames(before):
             return
         mine = self._frames.of(before)
         actions.lost = [f.sequence for f in mine]

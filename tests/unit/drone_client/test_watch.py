@@ -185,12 +185,15 @@ def test_a_frame_turned_away_now_and_then_moves_nobody():
     assert {w for _, _, w in world.sent} == {FIRST}
 
 
-def test_a_draining_worker_is_left_and_keeps_what_it_has():
+@pytest.mark.parametrize("token_goes", [False, True])
+def test_a_draining_worker_is_left_and_keeps_what_it_has(token_goes):
     """It answers what is under way: no copy, no lost slot."""
     world = World()
     world.run(1000)
     status = Status(FIRST, 9, 0, 0, 1, 64, 0, 0, "m", True)
     world.watch.take_status(status)
+    if token_goes:  # before the watch has looked
+        world.live = (OTHER,)
     world.run(200)
     assert world.watch.worker == OTHER
     assert world.copies == []
