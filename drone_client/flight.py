@@ -57,6 +57,8 @@ class Tally:
     late_results: int = 0
     """Results of frames that had been given up on."""
     control_errors: int = 0
+    receive_errors: int = 0
+    """Messages whose handling went wrong; the log has the first."""
 
 
 class Flight:
@@ -110,7 +112,7 @@ class Flight:
 
     def start(self) -> None:
         """Start receiving, sending and controlling."""
-        self._link.start(self._receiver.on_message, self._uplink.wake)
+        self._link.start(self._on_message, self._uplink.wake)
         self._uplink.start()
         self._control.start()
 
@@ -134,6 +136,15 @@ class Flight:
             self._control.join(timeout=5.0)
         self._link.close()
         self._ledger.close()
+
+    def _on_message(self, message: bytes, t4_ns: int) -> None:
+        try:
+            self._receiver.on_message(message, t4_ns)
+        except Exception:
+            # The link's thread is not ours to end: without it the drone would be deaf.
+            if not self.tally.receive_errors:
+                logger.exception("a message could not be handled")
+            self.tally.receive_errors += 1
 
     def _on_result(self, reception: Reception) -> None:
         tally, result = self.tally, reception.result
@@ -159,8 +170,6 @@ class Flight:
             )
             return
         tally.outcomes[result.outcome.value] += 1
-        if reception.judgement.accepted:
-            self._on_accepted(reception)
         decision = self._decide(self._clock.now_ns())
         one_way = one_way_record(result, reception.t4_ns, self._uplink.estimate(result.worker))
         record = reception_record(reception) | one_way | decision_record(decision)
@@ -169,6 +178,8 @@ class Flight:
             self._ledger.event(
                 reception.t4_ns, "late_result", verdict=verdict.value, sequence=result.sequence
             )
+        if reception.judgement.accepted:
+            self._on_accepted(reception)  # last: whatever it does, the frame has its line
 
     def _decide(self, now_ns: int) -> Decision:
         return decide(

@@ -177,6 +177,7 @@ def replay(
         "foreign_messages": flight.receiver.foreign,
         "late_results": flight.tally.late_results,
         "control_errors": flight.tally.control_errors,
+        "receive_errors": flight.tally.receive_errors,
         "lost_ledger_lines": ledger.lost_lines,
         "unwritten": [],
     }

@@ -274,6 +274,29 @@ def test_a_result_makes_the_drone_close_in_and_stopping_makes_it_stand_still(tmp
     assert {"inactive", "active"} & set(rig.flight.tally.statuses)
 
 
+def test_what_goes_wrong_with_one_message_does_not_end_the_link_s_thread(tmp_path, caplog):
+    """A consumer of poses that raises: counted, logged once, and results go on being used."""
+
+    def broken(reception: object) -> None:
+        raise RuntimeError("no such topic")
+
+    link = MemoryLink(CLOCK, answering(sees))
+    source = recording(4)
+    summary = replay(
+        source,
+        AIRFRAME,
+        patient(),
+        ReplayOptions(tmp_path, plot=False),
+        link,
+        CLOCK,
+        lambda done, tally: None,
+        broken,
+    )
+    assert summary["receive_errors"] == 4
+    assert summary["fates"] == {"answered": 4}
+    assert len([r for r in caplog.records if "could not be handled" in r.message]) == 1
+
+
 class FailingAutopilot(MemoryAutopilot):
     """Raises on its first calls."""
 
