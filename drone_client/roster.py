@@ -69,6 +69,7 @@ class _Worker:
         "refused",
         "replied",
         "round_trip_ns",
+        "service_ns",
         "silent_since_ns",
         "status",
         "suspect",
@@ -95,6 +96,8 @@ class _Worker:
         self.boot_id: int | None = None
         self.status: Status | None = None
         self.round_trip_ns = DEFAULT_ROUND_TRIP_NS
+        self.service_ns = 0
+        """What a frame takes there, by its word; 0: it never said."""
 
 
 class Roster:
@@ -157,7 +160,14 @@ class Roster:
         return {name: self.standing(name).value for name in sorted(self._workers)}
 
     def replied(self, worker: str, now_ns: int, round_trip_ns: int | None = None) -> None:
-        """A reply of any kind came: an ack, an echo or a result."""
+        """A reply of any kind came: an ack, an echo or a result.
+
+        Args:
+            worker: whose it is.
+            now_ns: drone's clock.
+            round_trip_ns: of the empty way to it, where this reply tells; never that of a frame,
+                which waits behind itself and would make every idle worker look faster.
+        """
         if (w := self._workers.get(worker)) is None:
             return
         if round_trip_ns is not None:
@@ -225,6 +235,7 @@ class Roster:
                 self._workers[status.worker] = w
         w.boot_id = status.worker_boot_id
         w.status = status
+        w.service_ns = status.service_p50_ns or w.service_ns
         w.draining = status.draining
 
     def drains(self, worker: str) -> None:
@@ -237,9 +248,10 @@ class Roster:
         w = self._workers.get(worker)
         if w is None:
             return DEFAULT_ROUND_TRIP_NS
-        status = w.status
-        service_ns = 0 if status is None else status.service_p50_ns * (1 + min(status.waiting, 64))
-        return w.round_trip_ns + service_ns
+        # One that served nobody lately says 0: it takes as long as it last did, or as others do
+        service_ns = w.service_ns or max((o.service_ns for o in self._workers.values()), default=0)
+        waiting = 0 if w.status is None else min(w.status.waiting, 64)
+        return w.round_trip_ns + service_ns * (1 + waiting)
 
     def choose(self, now_ns: int) -> str | None:
         """The worker to send to; None if none is alive.

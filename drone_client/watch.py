@@ -110,12 +110,9 @@ class WorkerWatch:
     def heard(self, sequence: int, worker: str, t_ns: int) -> None:
         """An ack or a result came."""
         frame = self._frames.get(sequence)
-        round_trip_ns = None
         if frame is not None and frame.acked_by is None and worker == frame.workers[-1]:
             frame.acked_by = worker
-            if not frame.has_copy:
-                round_trip_ns = t_ns - frame.t1_ns
-        self._roster.replied(worker, t_ns, round_trip_ns)
+        self._roster.replied(worker, t_ns)
 
     def answered(
         self, sequence: int, worker: str, t4_ns: int, outcome: Outcome, *, settled: bool
@@ -144,7 +141,7 @@ class WorkerWatch:
         worker = self._prober.echo(probe, t4_ns)
         if worker is not None:
             self._missed_probes[worker] = 0
-            self._roster.replied(worker, t4_ns)
+            self._roster.replied(worker, t4_ns, self.round_trip_ns(worker))
 
     def take_status(self, status: Status) -> None:
         """A worker says how it is."""

@@ -201,6 +201,22 @@ def test_a_burst_of_delay_moves_nobody():
         assert roster.choose(n * 100 * MS) == first
 
 
+def test_a_worker_that_served_nobody_yet_is_not_taken_for_a_fast_one():
+    """It says 0 for want of frames: the drone stays; its own last word counts, if any."""
+    roster = roster_of("w1", "w2")
+    first = roster.choose(0)
+    other = "w2" if first == "w1" else "w1"
+    for n in range(100):
+        for worker in (first, other):
+            roster.replied(worker, n * 100 * MS, MS)
+        roster.take_status(status(first, service_p50_ns=60 * MS))
+        roster.take_status(status(other, service_p50_ns=0))
+        assert roster.choose(n * 100 * MS) == first
+    roster.take_status(status(other, service_p50_ns=70 * MS))
+    roster.take_status(status(other, service_p50_ns=0))
+    assert roster.expected_delay_ns(other) > roster.expected_delay_ns(first)
+
+
 def test_waiting_frames_count_as_delay():
     """Two workers alike, one with a queue: the other one's expected delay is smaller."""
     roster = roster_of("w1", "w2")

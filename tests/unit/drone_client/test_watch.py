@@ -31,6 +31,7 @@ class World:
         self.silent: set[str] = set()
         self.hung: set[str] = set()
         """Acknowledge and never answer."""
+        self.ack_ns = ROUND_TRIP_NS
         self.outcomes: dict[str, Outcome] = {}
         """What each worker answers, if not that there is nothing."""
         self.next_frame_ns = 0
@@ -67,9 +68,10 @@ class World:
     def _ask(self, worker: str, sequence: int) -> None:
         if worker in self.silent:
             return
-        self._replies.append((self.now_ns + ROUND_TRIP_NS, "ack", (sequence, worker)))
+        self._replies.append((self.now_ns + self.ack_ns, "ack", (sequence, worker)))
         if worker not in self.hung:
-            self._replies.append((self.now_ns + 40 * MS, "result", (sequence, worker)))
+            result_ns = self.now_ns + self.ack_ns + 32 * MS
+            self._replies.append((result_ns, "result", (sequence, worker)))
 
     def _act(self, actions: Actions) -> None:
         for worker, probe in actions.probes:
@@ -236,6 +238,14 @@ def test_a_late_answer_gets_a_second_copy_only_where_that_is_asked_for(hedge):
     world.run(110)
     expected = [(OTHER, Why.HEDGE)] if hedge else []
     assert [(w, why) for _, _, w, why in world.copies] == expected
+
+
+def test_a_slow_link_does_not_make_the_idle_worker_look_better():
+    """Acks of frames take 150 ms, echoes 8 ms to both: the drone stays where it is."""
+    world = World()
+    world.ack_ns = 150 * MS
+    world.run(6000)
+    assert {w for _, _, w in world.sent} == {FIRST}
 
 
 def test_probes_go_to_every_worker_and_tell_its_round_trip():
