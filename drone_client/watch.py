@@ -16,7 +16,7 @@ from typing import Any
 
 from drone_client.clock_offset import OffsetEstimate
 from drone_client.prober import Prober
-from drone_client.roster import Roster, Standing
+from drone_client.roster import Roster
 from drone_client.under_way import FramesUnderWay, UnderWay
 from rgbd_wire.messages import Outcome, Status
 from rgbd_wire.probe import Probe
@@ -149,7 +149,7 @@ class WorkerWatch:
 
     def hopeless(self, workers: Collection[str]) -> bool:
         """Whether none of these workers will answer."""
-        return all(self._roster.standing(w) in (Standing.GONE, Standing.SUSPECT) for w in workers)
+        return not any(self._roster.keeps_its_frames(w) for w in workers)
 
     def tick(self, now_ns: int, live: Collection[str]) -> Actions:
         """Look at everything: misses, hand-over, hedging, probes."""

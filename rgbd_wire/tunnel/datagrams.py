@@ -40,8 +40,8 @@ class DatagramSocket:
             sock.setsockopt(socket.SOL_SOCKET, option, SOCKET_BUFFER_BYTES)
         self.segments = _try_option(sock, _UDP_SEGMENT, 0)
         """The kernel cuts what is sent."""
-        self.coalesces = _try_option(sock, _UDP_GRO, 1)
-        """The kernel may hand over many datagrams at once."""
+        # The kernel may hand over many datagrams at once; where it cannot, they come one by one
+        _try_option(sock, _UDP_GRO, 1)
         self._view = memoryview(bytearray(RECEIVE_BYTES))
 
     def fileno(self) -> int:

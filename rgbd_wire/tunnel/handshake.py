@@ -39,7 +39,6 @@ MAC_BYTES = 32
 HELLO_BYTES = 160
 NAME_BYTES = 32
 _COOKIE = struct.Struct("<I16s")
-COOKIE_BYTES = _COOKIE.size
 _COOKIE_PACKET = struct.Struct("<B16s20s")
 _HELLO = struct.Struct("<B16s20s32sBB32s")
 _WELCOME = struct.Struct("<B16sQ32sBB32s")

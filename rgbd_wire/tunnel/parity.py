@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 
+MAX_PARITY = 255
+"""Of the first round: what fits the byte in the shard's head."""
 REMEMBERED = 64
 """Messages: two seconds of frames."""
 LOW, START, CROWDED, HIGH = 0.05, 0.10, 0.10, 0.25
@@ -54,4 +56,4 @@ class ParityControl:
             rate = min(max(wanted, LOW), CROWDED if crowded else HIGH)
         count = math.ceil(data_symbols * rate - 1e-9)
         self.rate = count / data_symbols
-        return min(count, 255)
+        return min(count, MAX_PARITY)

@@ -37,7 +37,6 @@ DATAGRAM_HEADS_BYTES = 68
 
 class _Partial:
     __slots__ = (
-        "asked_for",
         "attempts",
         "batches",
         "data",
@@ -81,7 +80,6 @@ class _Partial:
         self.got_first = 0
         self.highest = -1
         self.rounds = 0
-        self.asked_for = 0
         self.batches = 1
         self.train_symbols = 0
         self.first_ns = self.last_ns = self.last_first_ns = now_ns

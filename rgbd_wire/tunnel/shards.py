@@ -18,8 +18,6 @@ SHARD_HEAD = struct.Struct("<IHI")
 SYMBOL_BYTES = MAX_DATAGRAM_BYTES - OUTER_BYTES - TAG_BYTES - SHARD_HEAD.size
 assert SYMBOL_BYTES == 1160
 MAX_MESSAGE_BYTES = PREFIX_BYTES + max(MAX_BODY_BYTES.values())
-MAX_PARITY = 255
-"""Of the first round: what fits the byte in the shard's head."""
 PACKET_ID_BYTES = 4
 MESSAGE_IDS = 1 << 24
 MAX_SYMBOLS = 1 << 16
