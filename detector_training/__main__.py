@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from detector_training.cli import main
+from detector_training.commands.app import main
 
 if __name__ == "__main__":
     main()

@@ -14,7 +14,7 @@ from detector_training.scenes.backdrop import Library, random_backdrop, random_w
 from detector_training.scenes.image import LinearImage, Mask
 from detector_training.scenes.lookalikes import random_lookalike
 from detector_training.scenes.placement import random_camera, random_placement
-from detector_training.scenes.print import draw_target, random_paint, wear, with_alpha
+from detector_training.scenes.printed import draw_target, random_paint, wear, with_alpha
 from detector_training.scenes.projection import (
     circle_box,
     circle_points,

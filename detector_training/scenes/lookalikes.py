@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector_training.scenes.image import cloud_noise
-from detector_training.scenes.print import Paint, disc_coverage, radius_grid, random_paint
+from detector_training.scenes.printed import Paint, disc_coverage, radius_grid, random_paint
 from target_pose.target import Target
 
 Texture: TypeAlias = NDArray[np.float32]

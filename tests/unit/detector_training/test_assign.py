@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detector_training.assign import TOP_K, Truth, assign, box_iou, candidates
+from detector_training.training.assign import TOP_K, Truth, assign, box_iou, candidates
 from edge_service.detector.boxes import cell_centers
 
 CENTERS, STRIDES = cell_centers(128, 160)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detector_training.augment import (
+from detector_training.training.augment import (
     MAX_SCALE,
     MIN_SCALE,
     augment,

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from detector_training.dataset import load_dataset
+from detector_training.datasets.sample import load_dataset
 from detector_training.errors import DatasetError
 
 GOOD = {
@@ -44,6 +44,7 @@ def test_a_line_becomes_a_sample(folder):
     assert sample.classes.tolist() == [1]
     assert sample.visible.tolist() == pytest.approx([0.8])
     assert sample.conditions == ("far",)
+    assert sample.distance_m == 3.0
 
 
 def test_pictures_come_as_rgb(folder):
@@ -114,3 +115,11 @@ def test_a_missing_damaged_or_resized_picture_is_named(folder):
     sample.image.unlink()
     with pytest.raises(DatasetError, match=r"000000\.jpg"):
         sample.read()
+
+
+@pytest.mark.parametrize("distance", [0, -1, 1e9, "far", float("nan")])
+def test_a_distance_that_is_none_is_refused(folder, distance):
+    """It would end up in a row of its own in every report."""
+    _write(folder, {**GOOD, "distance_m": distance})
+    with pytest.raises(DatasetError, match="line 1"):
+        load_dataset(folder)

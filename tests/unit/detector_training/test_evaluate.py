@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detector_training.dataset import Sample
-from detector_training.evaluate import Outcome, average_precision, evaluate_detector, match
+from detector_training.datasets.sample import Sample
+from detector_training.evaluation.scores import Outcome, average_precision, evaluate_detector, match
 from target_pose.candidate import Box, Detections
 from target_pose.target import Level, load_target
 

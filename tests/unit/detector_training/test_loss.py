@@ -9,8 +9,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detector_training.assign import Truth
-from detector_training.loss import ciou, detection_loss
+from detector_training.training.assign import Truth
+from detector_training.training.loss import ciou, detection_loss
 from edge_service.detector.boxes import cell_centers
 from edge_service.detector.net import Prediction
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from detector_training import cli
 from detector_training.backgrounds import Split
+from detector_training.commands import app
 from detector_training.errors import DatasetError, SceneError
 from detector_training.scenes import DatasetRequest, write_dataset
 
@@ -89,7 +89,7 @@ def test_bad_arguments_give_one_line(tmp_path, monkeypatch, capsys, arguments, t
     command = ["detector_training", "scenes", out, "--package-root", str(tmp_path), *arguments]
     monkeypatch.setattr(sys, "argv", command)
     with pytest.raises(SystemExit) as end:
-        cli.main()
+        app.main()
     assert end.value.code == 2
     errors = [li for li in capsys.readouterr().err.splitlines() if li.startswith("error:")]
     assert len(errors) == 1
@@ -102,7 +102,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path, monkeypatch, capsys):
     command = ["detector_training", "scenes", str(tmp_path / "file" / "out"), "--count", "1"]
     monkeypatch.setattr(sys, "argv", [*command, "--package-root", str(tmp_path), "--jobs", "1"])
     with pytest.raises(SystemExit) as end:
-        cli.main()
+        app.main()
     assert end.value.code == 2
     assert f"cannot write to {tmp_path / 'file' / 'out'}" in capsys.readouterr().err
 
@@ -119,7 +119,7 @@ def test_own_photographs_end_up_in_the_pictures(tmp_path, monkeypatch):
     command += ["--package-root", str(tmp_path), "--backgrounds", str(folder)]
     monkeypatch.setattr(sys, "argv", command)
     with pytest.raises(SystemExit) as end:
-        cli.main()
+        app.main()
     assert end.value.code == 0
     names = json.loads((tmp_path / "d" / "dataset.json").read_text())["backgrounds"][str(folder)]
     assert names

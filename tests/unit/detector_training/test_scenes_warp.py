@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from detector_training.scenes.placement import facing
-from detector_training.scenes.print import Paint, draw_target, radius_grid, wear, with_alpha
+from detector_training.scenes.printed import Paint, draw_target, radius_grid, wear, with_alpha
 from detector_training.scenes.projection import (
     circle_points,
     image_from_board,

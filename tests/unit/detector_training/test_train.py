@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from detector_training import batches
-from detector_training.batches import BatchSource, prefetched
-from detector_training.dataset import load_dataset
+from detector_training.datasets.sample import load_dataset
 from detector_training.errors import DatasetError, TrainingError
-from detector_training.plot import plot_log
-from detector_training.replicas import Replicas
-from detector_training.train import (
+from detector_training.training import batches
+from detector_training.training.batches import BatchSource, prefetched
+from detector_training.training.loop import (
     CHECKPOINT,
     LOG,
     WARM_UP_STEPS,
@@ -28,6 +26,8 @@ from detector_training.train import (
     train_step,
     update_average,
 )
+from detector_training.training.plot import plot_log
+from detector_training.training.replicas import Replicas
 from edge_service.detector.net import NetConfig, TargetNet
 from edge_service.detector.weights import load_weights
 from target_pose.target import Level

@@ -9,13 +9,14 @@ import torch
 import typer
 from typer.testing import CliRunner
 
-from detector_training import batches
-from detector_training.train_cli import register
+from detector_training.commands import evaluate, train
+from detector_training.training import batches
 from edge_service.detector.weights import DEFAULT_WEIGHTS
 from tests.unit.detector_training.tiny import write_tiny
 
 APP = typer.Typer()
-register(APP)
+train.register(APP)
+evaluate.register(APP)
 ONE = ("--workers", 1)
 """More threads than free cores slow a small net down."""
 

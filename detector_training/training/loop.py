@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import nn
 
-from detector_training.batches import Batch, BatchSource, prefetched
-from detector_training.dataset import CLASSES, Sample
+from detector_training.datasets.sample import CLASSES, Sample
 from detector_training.errors import TrainingError
-from detector_training.loss import Loss
-from detector_training.replicas import Replicas
+from detector_training.training.batches import Batch, BatchSource, prefetched
+from detector_training.training.loss import Loss
+from detector_training.training.replicas import Replicas
 from edge_service.detector.net import NetConfig, TargetNet
 from edge_service.detector.weights import save_weights
 

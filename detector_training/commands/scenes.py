@@ -1,30 +1,19 @@
-"""``python -m detector_training``: scenes, recording, training."""
+"""``scenes`` and ``recording``: the commands around the generator."""
 
 from __future__ import annotations
 
 import os
-import shlex
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from detector_training.backgrounds import Split, advice, find_backgrounds, of_split
-from detector_training.errors import TrainingError
+from detector_training.commands.shell import command_line, console
 from detector_training.scenes import DatasetRequest, write_dataset
 from detector_training.scenes.recording import FRAMES, RATE_HZ, write_recording
-from target_pose.errors import TargetError
 from target_pose.target import DEFAULT_TARGET, load_target
-
-app = typer.Typer(
-    help="Make pictures of the target, train the detector on them, measure it.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
-console = Console(stderr=True)
 
 Out = Annotated[Path, typer.Argument(help="Folder to write to; made when missing.")]
 Seed = Annotated[int, typer.Option(help="The same seed gives the same bytes.")]
@@ -41,7 +30,12 @@ PackageRoot = Annotated[
 ]
 
 
-@app.command()
+def register(app: typer.Typer) -> None:
+    """Add ``scenes`` and ``recording`` to a command line."""
+    app.command("scenes")(scenes)
+    app.command("recording")(recording)
+
+
 def scenes(
     out: Out,
     count: Annotated[int, typer.Option(help="Number of pictures.")] = 6000,
@@ -85,7 +79,6 @@ def scenes(
     console.print(f"{out}: {kinds}; look at {out / 'contact_sheet.png'}", soft_wrap=True)
 
 
-@app.command()
 def recording(
     out: Out,
     seed: Seed = 1,
@@ -116,21 +109,3 @@ def recording(
             lambda done: progress.update(task, completed=done),
         )
     console.print(f"{out}: {frames} frames, {RATE_HZ:g} Hz", soft_wrap=True)
-
-
-def command_line() -> str:
-    """How this process was started, as one would type it."""
-    return shlex.join(["python", "-m", "detector_training", *sys.argv[1:]])
-
-
-def main() -> None:
-    """Run a sub-command; what the user got wrong is one line and exit status 2."""
-    # here, not above: the processes that render import this module and need no torch
-    from detector_training.train_cli import register
-
-    register(app)
-    try:
-        app()
-    except (TrainingError, TargetError) as error:
-        console.print(f"error: {error}", style="red", soft_wrap=True, highlight=False)
-        raise SystemExit(2) from None

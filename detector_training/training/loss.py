@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from detector_training.assign import Assignment, Truth, assign
+from detector_training.training.assign import Assignment, Truth, assign
 from edge_service.detector.boxes import decode
 from edge_service.detector.net import Prediction
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from detector_training.dataset import Sample
+from detector_training.datasets.sample import Sample
 from edge_service.detector.engine import SCORE_THRESHOLD
 from edge_service.detector.nms import pairwise_iou
 from target_pose.candidate import Box, Candidate, Detections

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from detector_training.assign import Truth
-from detector_training.augment import Crop, augment
-from detector_training.dataset import Sample, decode_image, read_bytes
+from detector_training.datasets.sample import Sample, decode_image, read_bytes
+from detector_training.training.assign import Truth
+from detector_training.training.augment import Crop, augment
 
 SIZES = ((256, 192), (320, 256), (448, 352), (640, 480))
 """Width and height of the crops [px]; all pictures of a batch share one."""

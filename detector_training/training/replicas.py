@@ -15,9 +15,9 @@ from types import TracebackType
 
 import torch
 
-from detector_training.assign import Truth
-from detector_training.batches import Batch
-from detector_training.loss import Loss, detection_loss
+from detector_training.training.assign import Truth
+from detector_training.training.batches import Batch
+from detector_training.training.loss import Loss, detection_loss
 from edge_service.detector.boxes import cell_centers
 from edge_service.detector.net import TargetNet
 

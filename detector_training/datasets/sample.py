@@ -27,6 +27,7 @@ MAX_PICTURES = 1_000_000
 MAX_IMAGE_BYTES = 64 << 20
 MAX_COORDINATE_PX = 1e5
 MAX_BOXES = 256
+MAX_DISTANCE_M = 1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +44,8 @@ class Sample:
     """x0, y0, x1, y1 [px]; pixel (0, 0) is the centre of the first pixel."""
     classes: NDArray[np.int64]  # (M,)
     visible: NDArray[np.float32]  # (M,)
+    distance_m: float | None = None
+    """From the camera to the target's centre; None where the data set does not say."""
 
     def read(self) -> NDArray[np.uint8]:
         """The picture, RGB (H, W, 3).
@@ -149,7 +152,17 @@ def _sample(folder: Path, raw: Any) -> Sample:
         np.array([b[0] for b in boxes], np.float32).reshape(-1, 4),
         np.array([b[1] for b in boxes], np.int64),
         np.array([b[2] for b in boxes], np.float32),
+        _distance(raw.get("distance_m")),
     )
+
+
+def _distance(raw: Any) -> float | None:
+    if raw is None:
+        return None
+    distance = float(raw)
+    if not 0 < distance < MAX_DISTANCE_M:
+        raise DatasetError(f"distance_m = {distance} is not in (0, {MAX_DISTANCE_M:g})")
+    return distance
 
 
 def _box(raw: Any) -> tuple[list[float], int, float]:

@@ -1,0 +1,1 @@
+"""Labelled pictures on disk: the generator's own lines, labelme, YOLO and COCO."""

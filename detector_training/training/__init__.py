@@ -1,0 +1,1 @@
+"""How the net learns: crops, assignment, loss and the loop."""
