@@ -1,16 +1,14 @@
-"""From cells and distances to boxes in pixels; pixel (0, 0) is the centre of the first pixel."""
+"""From cells and distances to boxes in pixels, in torch for the training; ``grid`` in numpy.
+
+Pixel (0, 0) is the centre of the first pixel.
+"""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from edge_service.detector.net import SIZE_MULTIPLE_PX, STRIDES
-
-
-def padded_side(side_px: int) -> int:
-    """The next multiple of ``SIZE_MULTIPLE_PX`` that holds ``side_px`` pixels."""
-    return -(-side_px // SIZE_MULTIPLE_PX) * SIZE_MULTIPLE_PX
+from edge_service.detector.net import STRIDES
 
 
 def cell_centers(height: int, width: int) -> tuple[Tensor, Tensor]:

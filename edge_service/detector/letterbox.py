@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_service.detector.boxes import padded_side
+from edge_service.detector.grid import padded_side
 from edge_service.errors import ImageError
 
 MIN_SIDE_PX, MAX_SIDE_PX = 16, 4096

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from edge_service.detector.boxes import cell_centers, decode, padded_side
+from edge_service.detector.boxes import cell_centers, decode
 from edge_service.detector.net import PRIOR_SCORE, ConvBlock, NetConfig, TargetNet
 
 CONFIG = NetConfig(("a", "b"), 4)
@@ -99,9 +99,3 @@ def test_decode_puts_the_distances_around_the_centre():
     distances = torch.tensor([[[1.0, 2, 3, 4], [5, 6, 7, 8]]])
     boxes = decode(distances, torch.tensor([[10.0, 20.0]]))
     assert boxes.tolist() == [[[9, 18, 13, 24], [5, 14, 17, 28]]]
-
-
-@pytest.mark.parametrize(("side", "padded"), [(1, 32), (32, 32), (33, 64), (480, 480), (623, 640)])
-def test_padded_side_is_the_next_multiple(side, padded):
-    """Padding never cuts and never adds a whole cell too many."""
-    assert padded_side(side) == padded
