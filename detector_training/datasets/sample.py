@@ -1,33 +1,46 @@
-"""A labelled data set on disk: ``images/*.jpg`` and ``labels.jsonl``, one JSON object per picture.
+"""A labelled picture, and its pixels.
 
-Fields: ``image width height kind conditions boxes``, each box with ``level xyxy visible``; a true
-box may reach over the picture's border, and the visible share of each is in [0, 1].
+Boxes count from the *centre* of the first pixel: a shape that fills a picture of W x H pixels has
+the box (-0.5, -0.5, W - 0.5, H - 0.5). labelme, YOLO and COCO count from its corner, half a pixel
+off; their readers and writers convert. A true box may reach over the picture's border.
+
+A picture is what labelme and OpenCV show: turned as its EXIF note says, three channels of 8 bits
+(grey repeated, alpha dropped, 16 bits shortened), at most ``MAX_SIDE_PX`` a side.
 """
 
 from __future__ import annotations
 
-import json
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
-from typing import Any
+from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from detector_training.datasets.header import FORMATS, read_header
+from detector_training.datasets.names import LabelNames
+from detector_training.datasets.values import MAX_SIDE_PX
 from detector_training.errors import DatasetError
 from target_pose.target import Level
 
 CLASSES = tuple(level.value for level in Level)
 """The net's classes, in the order of its outputs."""
 
-MAX_LABELS_BYTES = 256 << 20
-MAX_PICTURES = 1_000_000
 MAX_IMAGE_BYTES = 64 << 20
-MAX_COORDINATE_PX = 1e5
-MAX_BOXES = 256
-MAX_DISTANCE_M = 1e4
+CORNER_PX = 0.5
+"""A pixel's centre seen from its corner: theirs = ours + CORNER_PX."""
+
+
+class LabelBox(NamedTuple):
+    """One labelled box."""
+
+    level: Level
+    xyxy: tuple[float, float, float, float]
+    """[px], from the centre of the first pixel."""
+    visible: float
+    """Share of the shape that is to be seen, [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +59,12 @@ class Sample:
     visible: NDArray[np.float32]  # (M,)
     distance_m: float | None = None
     """From the camera to the target's centre; None where the data set does not say."""
+    recipe: str | None = None
+    """Name of what the picture was rendered for; None where the data set does not say."""
+    split: str | None = None
+    """``train``, ``val`` or ``test`` where the data set says."""
+    label: str = ""
+    """Where the label stands, for messages: the file, and the line where one holds many."""
 
     def read(self) -> NDArray[np.uint8]:
         """The picture, RGB (H, W, 3).
@@ -54,6 +73,53 @@ class Sample:
             DatasetError: it cannot be read or has another size than its label says.
         """
         return decode_image(self, read_bytes(self.image))
+
+    @property
+    def labels(self) -> tuple[LabelBox, ...]:
+        """The boxes as plain values."""
+        return tuple(
+            LabelBox(Level(CLASSES[c]), (float(x0), float(y0), float(x1), float(y1)), float(v))
+            for c, (x0, y0, x1, y1), v in zip(self.classes, self.boxes, self.visible, strict=True)
+        )
+
+
+def make_sample(
+    image: Path,
+    size: tuple[int, int],
+    boxes: Sequence[LabelBox],
+    conditions: tuple[str, ...] = (),
+    *,
+    distance_m: float | None = None,
+    recipe: str | None = None,
+    split: str | None = None,
+    label: str = "",
+) -> Sample:
+    """A sample of plain values; one without boxes is a negative."""
+    return Sample(
+        image,
+        *size,
+        "scene" if boxes else "negative",
+        conditions,
+        np.array([b.xyxy for b in boxes], np.float32).reshape(-1, 4),
+        np.array([CLASSES.index(b.level) for b in boxes], np.int64),
+        np.array([b.visible for b in boxes], np.float32),
+        distance_m,
+        recipe,
+        split,
+        label,
+    )
+
+
+def share_inside(xyxy: Sequence[float], size: tuple[int, int]) -> float:
+    """Share of a box that lies in a picture of ``size`` (width, height), [0, 1].
+
+    The best guess of the visible share where a label does not tell: people label what they see.
+    """
+    x0, y0, x1, y1 = xyxy
+    width = min(x1, size[0] - CORNER_PX) - max(x0, -CORNER_PX)
+    height = min(y1, size[1] - CORNER_PX) - max(y0, -CORNER_PX)
+    area = (x1 - x0) * (y1 - y0)
+    return min(max(width, 0.0) * max(height, 0.0) / area, 1.0) if area > 0 else 0.0
 
 
 def read_bytes(path: Path) -> bytes:
@@ -78,103 +144,46 @@ def decode_image(sample: Sample, data: bytes) -> NDArray[np.uint8]:
     Raises:
         DatasetError: the bytes are no picture or one of another size.
     """
-    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    # the header first: a few kilobytes may unpack to gigabytes
+    header = read_header(data)
+    if header is None:
+        raise DatasetError(
+            f"picture {sample.image} "
+            + (f"cannot be decoded: damaged or none of {FORMATS}" if data else "is empty")
+        )
+    if (header.width, header.height) != (sample.width, sample.height):
+        turned = f" (turned by its EXIF note {header.orientation}), which is what labels count in"
+        raise DatasetError(
+            f"picture {sample.image} is {header.width}x{header.height}"
+            f"{turned if header.orientation != 1 else ''}, "
+            f"its label says {sample.width}x{sample.height}"
+        )
+    if max(header.width, header.height) > MAX_SIDE_PX:
+        raise DatasetError(
+            f"picture {sample.image} is {header.width}x{header.height}; "
+            f"at most {MAX_SIDE_PX} a side"
+        )
+    try:
+        bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:
+        bgr = None
     if bgr is None:
-        raise DatasetError(f"picture {sample.image} cannot be decoded")
+        raise DatasetError(f"picture {sample.image} cannot be decoded: damaged or cut off")
     if bgr.shape != (sample.height, sample.width, 3):
         raise DatasetError(
-            f"picture {sample.image} is {bgr.shape[1]}x{bgr.shape[0]}, "
-            f"its label says {sample.width}x{sample.height}"
+            f"picture {sample.image} decodes to {bgr.shape[1]}x{bgr.shape[0]}, "
+            f"its header says {sample.width}x{sample.height}"
         )
     rgb: NDArray[np.uint8] = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
     return rgb
 
 
-def load_dataset(folder: Path) -> tuple[Sample, ...]:
-    """All samples of a data set, in the order of its labels.
+def load_dataset(path: Path, names: LabelNames | None = None) -> tuple[Sample, ...]:
+    """All samples of a data set in any format that we read; see ``load.load_dataset``.
 
     Raises:
-        DatasetError: names the file, the line and the field at fault.
+        DatasetError: names the file and what is wrong with it.
     """
-    path = folder / "labels.jsonl"
-    samples: list[Sample] = []
-    try:
-        if path.stat().st_size > MAX_LABELS_BYTES:
-            raise DatasetError(f"{path} is over {MAX_LABELS_BYTES} bytes")
-        with path.open(encoding="utf-8") as file:
-            for number, line in enumerate(file, 1):
-                if number > MAX_PICTURES:
-                    raise DatasetError(f"{path} has over {MAX_PICTURES} lines")
-                try:
-                    samples.append(_sample(folder, json.loads(line)))
-                except (
-                    DatasetError,
-                    ValueError,
-                    TypeError,
-                    OverflowError,
-                    RecursionError,
-                ) as error:
-                    raise DatasetError(f"{path} line {number}: {error}") from None
-                except KeyError as error:
-                    raise DatasetError(f"{path} line {number}: lacks {error.args[0]}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"no data set in {folder}: {error}") from None
-    if not samples:
-        raise DatasetError(f"{path} has no pictures")
-    return tuple(samples)
+    from detector_training.datasets import load  # its readers stand on this module
 
-
-def _sample(folder: Path, raw: Any) -> Sample:
-    if not isinstance(raw, dict):
-        raise DatasetError("a line must be a JSON object")
-    name = PurePosixPath(str(raw["image"]))
-    if not name.parts or name.is_absolute() or ".." in name.parts:
-        raise DatasetError(f"image {str(name)!r} leaves the data set's folder")
-    path = folder / name
-    if name.parts[0] != "images":  # the label may name the file alone
-        path = folder / "images" / name
-    width, height = int(raw["width"]), int(raw["height"])
-    if not (0 < width <= 8192 and 0 < height <= 8192):
-        raise DatasetError(f"a picture of {width}x{height} px")
-    kind = raw["kind"]
-    if kind not in ("scene", "negative"):
-        raise DatasetError(f"kind {kind!r} is neither scene nor negative")
-    entries = raw["boxes"]
-    if not isinstance(entries, list) or len(entries) > MAX_BOXES:
-        raise DatasetError(f"boxes must be a list of at most {MAX_BOXES}")
-    boxes = [_box(entry) for entry in entries]
-    return Sample(
-        path,
-        width,
-        height,
-        kind,
-        tuple(str(c) for c in raw["conditions"]),
-        np.array([b[0] for b in boxes], np.float32).reshape(-1, 4),
-        np.array([b[1] for b in boxes], np.int64),
-        np.array([b[2] for b in boxes], np.float32),
-        _distance(raw.get("distance_m")),
-    )
-
-
-def _distance(raw: Any) -> float | None:
-    if raw is None:
-        return None
-    distance = float(raw)
-    if not 0 < distance < MAX_DISTANCE_M:
-        raise DatasetError(f"distance_m = {distance} is not in (0, {MAX_DISTANCE_M:g})")
-    return distance
-
-
-def _box(raw: Any) -> tuple[list[float], int, float]:
-    level = raw["level"]
-    if level not in CLASSES:
-        raise DatasetError(f"level {level!r} is not one of {', '.join(CLASSES)}")
-    xyxy = [float(x) for x in raw["xyxy"]]
-    if len(xyxy) != 4 or not all(math.isfinite(x) and abs(x) < MAX_COORDINATE_PX for x in xyxy):
-        raise DatasetError(f"xyxy must be four finite pixels, not {raw['xyxy']}")
-    if not (xyxy[0] < xyxy[2] and xyxy[1] < xyxy[3]):
-        raise DatasetError(f"xyxy must be x0 < x1, y0 < y1, not {xyxy}")
-    visible = float(raw["visible"])
-    if not 0 <= visible <= 1:
-        raise DatasetError(f"visible = {visible} is not in [0, 1]")
-    return xyxy, CLASSES.index(level), visible
+    return load.load_dataset(path, names)
