@@ -24,11 +24,15 @@ class Letterbox:
     scale_u: float
     scale_v: float
     """Pixels of the input per pixel of the picture."""
+    left_px: float = 0.0
+    top_px: float = 0.0
+    """Padding before the picture in the input."""
 
     def to_picture(self, boxes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Boxes (..., 4) of the input in the picture's pixels (both count from pixel centres)."""
         scale = np.array([self.scale_u, self.scale_v] * 2, np.float32)
-        return np.asarray((boxes + 0.5) / scale - 0.5, np.float32)
+        shift = np.array([self.left_px, self.top_px] * 2, np.float32)
+        return np.asarray((boxes - shift + 0.5) / scale - 0.5, np.float32)
 
 
 def check_image(color_rgb: NDArray[np.uint8]) -> None:
@@ -70,3 +74,27 @@ def letterbox(color_rgb: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Letterbo
     padded = np.full((padded_side(h), padded_side(w), 3), PADDING_GRAY, np.uint8)
     padded[:h, :w] = resized
     return padded, box
+
+
+def letterbox_into(
+    color_rgb: NDArray[np.uint8], size: tuple[int, int]
+) -> tuple[NDArray[np.uint8], Letterbox]:
+    """The input of a net of one size: the picture as large as fits, gray on both sides of it.
+
+    As the YOLO family is trained, a small picture is enlarged. What is shrunk is averaged by area:
+    a thin ring does not alias.
+
+    Args:
+        color_rgb: (H, W, 3).
+        size: (H', W') of the input [px].
+    """
+    height, width = color_rgb.shape[:2]
+    scale = min(size[0] / height, size[1] / width)
+    h, w = max(round(height * scale), 1), max(round(width * scale), 1)
+    top, left = (size[0] - h) // 2, (size[1] - w) // 2
+    padded = np.full((*size, 3), PADDING_GRAY, np.uint8)
+    way = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    padded[top : top + h, left : left + w] = (
+        color_rgb if (h, w) == (height, width) else cv2.resize(color_rgb, (w, h), interpolation=way)
+    )
+    return padded, Letterbox(w / width, h / height, left, top)

@@ -7,7 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge_service.detector.letterbox import WORKING_SIDE_PX, check_image, letterbox
+from edge_service.detector.letterbox import (
+    PADDING_GRAY,
+    WORKING_SIDE_PX,
+    check_image,
+    letterbox,
+    letterbox_into,
+)
 from edge_service.errors import ImageError
 
 
@@ -64,3 +70,19 @@ def test_what_is_no_picture_is_refused_in_one_line(picture, says):
     with pytest.raises(ImageError, match=says) as error:
         check_image(picture)
     assert "\n" not in str(error.value)
+
+
+@given(height=st.integers(16, 300), width=st.integers(16, 300))
+@settings(max_examples=30, deadline=None)
+def test_a_net_of_one_size_gets_the_picture_in_its_middle(height, width):
+    """Gray on both sides, and the corners come back to the corners."""
+    picture = np.full((height, width, 3), 255, np.uint8)
+    padded, back = letterbox_into(picture, (96, 160))
+    assert padded.shape == (96, 160, 3)
+    inside = np.flatnonzero(padded[48, :, 0] == 255)
+    rows = np.flatnonzero(padded[:, 80, 0] == 255)
+    corners = np.array([[inside[0] - 0.5, rows[0] - 0.5, inside[-1] + 0.5, rows[-1] + 0.5]])
+    got = back.to_picture(corners.astype(np.float32))
+    np.testing.assert_allclose(got, [[-0.5, -0.5, width - 0.5, height - 0.5]], atol=1e-3)
+    assert set(np.unique(padded)) <= {PADDING_GRAY, 255}
+    assert abs(inside[0] - (159 - inside[-1])) <= 1
