@@ -138,13 +138,12 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def decode_image(sample: Sample, data: bytes) -> NDArray[np.uint8]:
-    """The picture in ``data``, RGB (H, W, 3), checked against its label.
+def check_header(sample: Sample, data: bytes) -> None:
+    """Check the beginning of a picture against its label; nothing is decoded.
 
     Raises:
-        DatasetError: the bytes are no picture or one of another size.
+        DatasetError: the bytes are no picture, or one of another size than its label says.
     """
-    # the header first: a few kilobytes may unpack to gigabytes
     header = read_header(data)
     if header is None:
         raise DatasetError(
@@ -163,6 +162,15 @@ def decode_image(sample: Sample, data: bytes) -> NDArray[np.uint8]:
             f"picture {sample.image} is {header.width}x{header.height}; "
             f"at most {MAX_SIDE_PX} a side"
         )
+
+
+def decode_image(sample: Sample, data: bytes) -> NDArray[np.uint8]:
+    """The picture in ``data``, RGB (H, W, 3), checked against its label.
+
+    Raises:
+        DatasetError: the bytes are no picture or one of another size.
+    """
+    check_header(sample, data)  # first: a few kilobytes may unpack to gigabytes
     try:
         bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
