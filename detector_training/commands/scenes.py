@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 from detector_training.backgrounds import Split, advice, find_backgrounds, of_split
 from detector_training.commands.shell import command_line, console
 from detector_training.scenes import DatasetRequest, write_dataset
+from detector_training.scenes.recipe import Recipe
 from detector_training.scenes.recording import FRAMES, RATE_HZ, write_recording
 from target_pose.target import DEFAULT_TARGET, load_target
 
@@ -41,8 +42,12 @@ def scenes(
     count: Annotated[int, typer.Option(help="Number of pictures.")] = 6000,
     seed: Seed = 1,
     split: Annotated[
-        Split, typer.Option(help="train and val never share a background picture.")
+        Split, typer.Option(help="No two of them share a background picture.")
     ] = Split.TRAIN,
+    recipe: Annotated[
+        Recipe,
+        typer.Option(help="What the pictures shall show; mixed: all of it, as training wants it."),
+    ] = Recipe.MIXED,
     backgrounds: Backgrounds = None,
     package_root: PackageRoot = Path("/"),
     target: Annotated[
@@ -63,7 +68,7 @@ def scenes(
     if line := advice(found):
         console.print(line, style="yellow", soft_wrap=True)
     load_target(target)
-    request = DatasetRequest(count, seed, split, target, of_split(found, split))
+    request = DatasetRequest(count, seed, split, target, of_split(found, split), recipe)
     columns = (BarColumn(), MofNCompleteColumn(), "pictures", TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
         task = progress.add_task("scenes", total=count)

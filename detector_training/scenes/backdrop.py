@@ -68,7 +68,7 @@ def random_patch(
     rng: np.random.Generator, pictures: Sequence[Background], width: int, height: int
 ) -> LinearImage:
     """A crop of any of the pictures; a procedural surface when none of a few can be read."""
-    for _ in range(8):
+    for _ in range(8 if pictures else 0):
         rgb = load_rgb(pictures[int(rng.integers(len(pictures)))].path)
         if rgb is None:
             continue

@@ -18,13 +18,14 @@ from detector_training.errors import DatasetError, SceneError
 from detector_training.scenes.backdrop import Library
 from detector_training.scenes.contact_sheet import contact_sheet
 from detector_training.scenes.generator import generate
+from detector_training.scenes.recipe import Recipe
 from target_pose.target import load_target
 
 MAX_COUNT = 1_000_000
 LABELS = "labels.jsonl"
 DESCRIPTION = "dataset.json"
 CONTACT_SHEET = "contact_sheet.png"
-_SPLIT_SEED = {Split.TRAIN: 1, Split.VAL: 2}
+_SPLIT_SEED = {Split.TRAIN: 1, Split.VAL: 2, Split.TEST: 3}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +43,7 @@ class DatasetRequest:
     """Name of a packaged target, or path of a TOML file."""
     backgrounds: tuple[Background, ...]
     """Of this split."""
+    recipe: Recipe = Recipe.MIXED
 
     def __post_init__(self) -> None:
         if not 1 <= self.count <= MAX_COUNT:
@@ -58,7 +60,8 @@ class _Worker:
     def __call__(self, index: int) -> dict[str, Any]:
         r = self.request
         library = Library.of(r.backgrounds)
-        scene = generate((r.seed, _SPLIT_SEED[r.split], index), library, load_target(r.target))
+        seed = (r.seed, _SPLIT_SEED[r.split], list(Recipe).index(r.recipe), index)
+        scene = generate(seed, library, load_target(r.target), r.recipe)
         name = f"{index:06d}.jpg"
         (self.images / name).write_bytes(scene.jpeg)
         return scene.label(f"images/{name}")
@@ -137,6 +140,7 @@ def _describe(
 ) -> dict[str, Any]:
     kinds = Counter(label["kind"] for label in labels)
     conditions = Counter(c for label in labels for c in label["conditions"])
+    recipes = Counter(label["recipe"] for label in labels)
     by_source: dict[str, list[str]] = {}
     for b in request.backgrounds:
         by_source.setdefault(b.source, []).append(b.path.name)
@@ -146,9 +150,11 @@ def _describe(
         "command": command,
         "seed": request.seed,
         "split": str(request.split),
+        "recipe": str(request.recipe),
         "target": request.target,
         "count": request.count,
         "kinds": dict(sorted(kinds.items())),
+        "recipes": dict(sorted(recipes.items())),
         "conditions": dict(sorted(conditions.items())),
         "licences": {k: licence_of(k) for k in sorted(by_source)},
         "backgrounds": {k: sorted(v) for k, v in sorted(by_source.items())},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,12 +48,24 @@ def facing(
     return Pose.from_rotation(rotation, centre_camera)
 
 
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where a board may be."""
+
+    board_px: tuple[float, float]
+    """Apparent side head-on, uniform in its logarithm ..."""
+    distance_m: tuple[float, float] | None = None
+    """... or the distance, uniform, when given."""
+    tilt_deg: tuple[float, float] | None = None
+    """Uniform between these; None: about normal with 28 degrees, a quarter uniform to 70."""
+    cut: float = 0.0
+    """Probability that the border may cut it."""
+    any_roll: float = 0.0
+    """Probability of any roll; else the camera is about level."""
+
+
 def random_placement(
-    rng: np.random.Generator,
-    camera: CameraIntrinsics,
-    side_m: float,
-    shape_m: float,
-    size_px: tuple[float, float],
+    rng: np.random.Generator, camera: CameraIntrinsics, side_m: float, where: Placement
 ) -> Pose:
     """``camera_from_target`` of a board, all of it in front of the camera.
 
@@ -60,35 +73,41 @@ def random_placement(
         rng: source of chance.
         camera: who looks.
         side_m: side of the board.
-        shape_m: the diameter that is to appear ...
-        size_px: ... between these sizes, with uniform logarithm.
+        where: what it is drawn from.
     """
     while True:
-        size = math.exp(rng.uniform(math.log(size_px[0]), math.log(size_px[1])))
-        centre = _centre_px(rng, camera, size * side_m / shape_m)
-        distance = camera.fx * shape_m / size
+        if where.distance_m is None:
+            size = math.exp(rng.uniform(*np.log(where.board_px)))
+        else:
+            size = camera.fx * side_m / rng.uniform(*where.distance_m)
+        centre = _centre_px(rng, camera, size, where.cut)
+        distance = camera.fx * side_m / size
         ray = np.array(
             [(centre[0] - camera.cx) / camera.fx, (centre[1] - camera.cy) / camera.fy, 1]
         )
-        tilt = abs(rng.normal(0, math.radians(28)))
-        if rng.random() < 0.25:
-            tilt = rng.uniform(0, math.radians(70))
+        tilt = _tilt_rad(rng, where)
         # mostly a camera that looks from the side, or from below and above
-        roll = (
-            rng.normal(0, math.radians(9)) if rng.random() < 0.9 else rng.uniform(-math.pi, math.pi)
-        )
-        pose = facing(
-            ray * distance, min(tilt, math.radians(70)), rng.uniform(0, 2 * math.pi), roll
-        )
+        level = rng.random() >= where.any_roll
+        roll = rng.normal(0, math.radians(9)) if level else rng.uniform(-math.pi, math.pi)
+        pose = facing(ray * distance, tilt, rng.uniform(0, 2 * math.pi), roll)
         if is_in_front(pose, side_m):
             return pose
 
 
+def _tilt_rad(rng: np.random.Generator, where: Placement) -> float:
+    if where.tilt_deg is not None:
+        return math.radians(rng.uniform(*where.tilt_deg))
+    tilt = abs(rng.normal(0, math.radians(28)))
+    if rng.random() < 0.25:
+        tilt = rng.uniform(0, math.radians(70))
+    return float(min(tilt, math.radians(70)))
+
+
 def _centre_px(
-    rng: np.random.Generator, camera: CameraIntrinsics, board_px: float
+    rng: np.random.Generator, camera: CameraIntrinsics, board_px: float, cut: float
 ) -> tuple[float, float]:
     w, h = camera.width, camera.height
-    if rng.random() < 0.15:  # cut by the border
+    if rng.random() < cut:
         u, v = rng.uniform(0, w), rng.uniform(0, h)
         offset = rng.uniform(-0.45, 0.45) * board_px
         match int(rng.integers(4)):
@@ -101,7 +120,8 @@ def _centre_px(
             case _:
                 v = h + offset
         return u, v
-    margin = min(board_px / 2, 0.3 * w)
-    u = rng.uniform(margin, w - margin)
-    v = rng.uniform(min(margin, 0.3 * h), h - min(margin, 0.3 * h))
+    # whole where it fits, with room for a tilt that brings one side nearer
+    margin_u, margin_v = min(0.56 * board_px, 0.45 * w), min(0.56 * board_px, 0.45 * h)
+    u = rng.uniform(margin_u, w - margin_u)
+    v = rng.uniform(margin_v, h - margin_v)
     return float(u), float(v)

@@ -38,6 +38,14 @@ def square_corners(side_m: float) -> Array:
     return np.array([[-h, h], [h, h], [h, -h], [-h, -h]])
 
 
+def square_points(side_m: float, per_side: int = 40) -> Array:
+    """Points (4 * per_side, 2) around a centred square on the board [m]."""
+    corners = square_corners(side_m)
+    t = (np.arange(per_side) / per_side)[:, None]
+    following = np.roll(corners, -1, axis=0)
+    return np.concatenate([a + t * (b - a) for a, b in zip(corners, following, strict=True)])
+
+
 def circle_points(radius_m: float, count: int = 360) -> Array:
     """Points (count, 2) around a centred circle on the board [m]."""
     angle = np.arange(count) * (2 * math.pi / count)

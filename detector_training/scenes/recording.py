@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from detector_training.errors import DatasetError, SceneError
 from detector_training.scenes import sensor
 from detector_training.scenes.flight import Sway, random_sway, world_from_camera
-from detector_training.scenes.generator import label_boxes
 from detector_training.scenes.image import LinearImage, srgb_from_linear
+from detector_training.scenes.labels import label_boxes
 from detector_training.scenes.printed import Paint, draw_target, wear, with_alpha
 from detector_training.scenes.projection import circle_box, image_from_board, square_box
 from detector_training.scenes.raycast import cast, pixel_rays

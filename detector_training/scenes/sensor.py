@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector_training.scenes.image import LinearImage, luminance, srgb_from_linear
+from detector_training.scenes.recipe import Plan
 
 
 def motion_kernel(length_px: float, angle_rad: float, curve: float = 0.0) -> NDArray[np.float32]:
@@ -36,37 +37,46 @@ def blurred(image: LinearImage, kernel: NDArray[np.float32]) -> LinearImage:
 
 
 def random_optics(
-    rng: np.random.Generator, image: LinearImage, readable_px: float, conditions: list[str]
+    rng: np.random.Generator,
+    image: LinearImage,
+    readable_px: float,
+    plan: Plan,
+    conditions: list[str],
 ) -> LinearImage:
     """Lens softness always; defocus and motion blur at times; named in ``conditions``.
 
     ``readable_px`` is the size of what must stay readable: a target smeared beyond recognition
     would teach the net to see targets everywhere.
     """
-    if rng.random() < 0.35:
-        longest = float(np.clip(0.35 * readable_px, 2.5, 16))
+    probability, share = plan.motion
+    if rng.random() < probability:
+        longest = float(np.clip(share * readable_px, 2.5, 16))
         length = float(np.exp(rng.uniform(np.log(2), np.log(longest))))
         image = blurred(image, motion_kernel(length, rng.uniform(0, np.pi), rng.normal(0, 0.3)))
-        conditions.append("motion_blur")
-    if rng.random() < 0.2:
-        widest = float(np.clip(0.1 * readable_px, 1.2, 4.5))
-        image = blurred(image, disc_kernel(rng.uniform(1.0, widest)))
-        conditions.append("defocus")
+        if length > max(0.12 * readable_px, 2.2):
+            conditions.append("blur")
+    probability, share = plan.defocus
+    if rng.random() < probability:
+        widest = float(np.clip(share * readable_px, 1.2, 4.5))
+        radius = rng.uniform(1.0, widest)
+        image = blurred(image, disc_kernel(radius))
+        if radius > max(0.04 * readable_px, 1.1):
+            conditions.append("blur")
     soft = rng.uniform(0.3, 0.9)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), soft))
 
 
 def random_exposure(
-    rng: np.random.Generator, image: LinearImage, conditions: list[str]
+    rng: np.random.Generator, image: LinearImage, plan: Plan, conditions: list[str]
 ) -> LinearImage:
     """A metering of the whole picture that is right, too dark or too bright."""
     metered = 0.18 / max(float(luminance(image[::8, ::8]).mean()), 1e-4)
-    stops = rng.normal(0.0, 0.7)
+    stops = rng.normal(0.0, plan.stops)
     kind = rng.random()
-    if kind < 0.12:
+    if kind < plan.dark:
         stops = rng.uniform(-3.8, -1.8)
         conditions.append("low_light")
-    elif kind < 0.2:
+    elif kind < plan.dark + plan.bright:
         stops = rng.uniform(1.3, 2.8)
         conditions.append("over_exposed")
     return np.asarray(image * np.float32(min(metered, 30.0) * 2.0**stops))
@@ -96,13 +106,13 @@ def add_noise(
 
 
 def develop(
-    rng: np.random.Generator, image: LinearImage, conditions: list[str]
+    rng: np.random.Generator, image: LinearImage, plan: Plan, conditions: list[str]
 ) -> NDArray[np.uint8]:
     """White balance, noise, tone curve, sharpening: 8-bit RGB (H, W, 3)."""
     warmth = rng.normal(0, 0.12)
     balance = np.exp([warmth, rng.normal(0, 0.04), -warmth]).astype(np.float32)
     dark = "low_light" in conditions
-    full_well = float(np.exp(rng.uniform(np.log(300), np.log(20_000)))) / (4.0 if dark else 1.0)
+    full_well = float(np.exp(rng.uniform(*np.log(plan.full_well)))) / (4.0 if dark else 1.0)
     read = float(np.exp(rng.uniform(np.log(0.0005), np.log(0.01))))
     noisy = add_noise(rng, image * balance, full_well, read, rng.uniform(0, 0.8))
     if full_well < 800:

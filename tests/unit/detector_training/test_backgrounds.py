@@ -28,15 +28,15 @@ def write_photo(path, size=(400, 300), seed=0):
     cv2.imwrite(str(path), cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC))
 
 
-def test_no_file_is_in_both_splits(tmp_path):
-    """Every picture is in exactly one split, both splits get some, wheels alone suffice."""
-    for i in range(60):
-        write_photo(tmp_path / "mine" / f"{'abcdefghij'[i % 10]}{'klmnop'[i // 10]}_view.png")
+def test_no_file_is_in_two_splits(tmp_path):
+    """Every picture is in exactly one split, each split gets some, wheels alone suffice."""
+    for i in range(120):
+        write_photo(tmp_path / "mine" / f"{'abcdefghij'[i % 10]}{'klmnopqrstuv'[i // 10]}_view.png")
     found = find_backgrounds([tmp_path / "mine"], tmp_path)
-    train, val = of_split(found, Split.TRAIN), of_split(found, Split.VAL)
-    assert {b.path for b in train} | {b.path for b in val} == {b.path for b in found}
-    assert not {b.path for b in train} & {b.path for b in val}
-    assert len(train) > 2 * len(val) > 0
+    parts = {split: of_split(found, split) for split in Split}
+    assert sorted(b.path for part in parts.values() for b in part) == [b.path for b in found]
+    assert all(parts.values())
+    assert len(parts[Split.TRAIN]) > len(parts[Split.VAL]) + len(parts[Split.TEST])
     assert any(b.source == "scikit-image" for b in found)
 
 

@@ -38,7 +38,7 @@ def test_a_data_set_holds_what_its_description_says(tmp_path):
     assert description["command"] == "the command"
     for label in labels:
         assert set(label) == {
-            "image", "width", "height", "kind", "conditions", "distance_m", "boxes",
+            "image", "width", "height", "kind", "recipe", "conditions", "distance_m", "boxes",
         }  # fmt: skip
         for box in label["boxes"]:
             assert 0 <= box["visible"] <= 1
