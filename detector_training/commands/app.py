@@ -18,8 +18,9 @@ scenes.register(app)
 def main() -> None:
     """Run a sub-command; what the user got wrong is one line and exit status 2."""
     # here, not above: the processes that render import this module and need no torch
-    from detector_training.commands import evaluate, train
+    from detector_training.commands import dataset, evaluate, train
 
+    dataset.register(app)
     train.register(app)
     evaluate.register(app)
     with one_line_errors():
