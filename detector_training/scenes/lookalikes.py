@@ -310,6 +310,61 @@ def target_of_colour(rng: np.random.Generator, n: int, target: Target) -> Textur
     return image
 
 
+def manhole(rng: np.random.Generator, n: int, target: Target) -> Texture:
+    """A cast-iron cover: a frame, a rim, and studs, bars or a grid in it."""
+    image = np.zeros((n, n, 4), dtype=np.float32)
+    iron = rng.uniform(0.02, 0.15) * (1 + 0.1 * rng.standard_normal(3)).astype(np.float32)
+    bright = (iron * rng.uniform(1.6, 4.0)).astype(np.float32)
+    _disc(image, 0.98, bright)
+    _disc(image, rng.uniform(0.88, 0.95), iron)
+    inner = rng.uniform(0.6, 0.82)
+    if rng.random() < 0.6:
+        _disc(image, inner, bright)
+        _disc(image, inner * rng.uniform(0.9, 0.97), iron)
+    reach, count = inner * 0.46, int(rng.integers(5, 14))
+    steps = np.linspace(-reach, reach, count)
+    if rng.random() < 0.5:
+        thick = rng.uniform(0.3, 0.7) * float(steps[1] - steps[0])
+        dots = [(x, y, x, y) for x in steps for y in steps if math.hypot(x, y) < reach]
+        _lay(image, _strokes(n, dots, thick), bright)
+    else:
+        bars = [(-math.sqrt(reach**2 - y**2), y, math.sqrt(reach**2 - y**2), y) for y in steps]
+        _lay(image, _strokes(n, bars, rng.uniform(0.01, 0.03)), bright)
+    if rng.random() < 0.5:
+        _disc(image, rng.uniform(0.06, 0.2), bright)
+    return image
+
+
+def record(rng: np.random.Generator, n: int, target: Target) -> Texture:
+    """A black disc with grooves, a light label and a hole: a record, a reel, a grinding wheel."""
+    image = np.zeros((n, n, 4), dtype=np.float32)
+    black = np.float32(rng.uniform(0.01, 0.08)) * np.ones(3, dtype=np.float32)
+    _disc(image, 0.98, black)
+    grid = radius_grid(n, 1.0)
+    waves = 1 + rng.uniform(0.1, 0.6) * np.sin(2 * math.pi * rng.uniform(15, 60) * grid)
+    image[..., :3] *= waves[..., None].astype(np.float32)
+    label = 0.98 * rng.uniform(0.2, 0.34)
+    _disc(image, label, rng.uniform(0.1, 0.9, 3).astype(np.float32))
+    _disc(image, label * rng.uniform(0.05, 0.2), black)
+    return image
+
+
+def patterned_sphere(rng: np.random.Generator, n: int, target: Target) -> Texture:
+    """A shaded ball with bands or rings around an axis that points anywhere."""
+    c = (np.arange(n, dtype=np.float32) + 0.5) / n * 2 - 1
+    x, y = np.meshgrid(c, c)
+    z = np.sqrt(np.clip(1 - x * x - y * y, 0, 1))
+    # never towards the viewer: there its rings may well be the target's
+    turn, lean = rng.uniform(0, 2 * math.pi), rng.uniform(math.radians(30), math.radians(100))
+    axis = (math.sin(lean) * math.cos(turn), math.sin(lean) * math.sin(turn), math.cos(lean))
+    angle = np.arccos(np.clip(x * axis[0] + y * axis[1] + z * axis[2], -1, 1))
+    bands = np.sin(angle * rng.uniform(3, 9) + rng.uniform(0, 2 * math.pi)) > 0
+    paint = random_paint(rng)
+    rgb = np.where(bands[..., None], paint.white, paint.black) * (0.15 + 0.85 * z[..., None])
+    alpha = disc_coverage(radius_grid(n, 1.0), 0.49, 1 / n)
+    return np.dstack([rgb * alpha[..., None], alpha]).astype(np.float32)
+
+
 DRAWERS: dict[str, tuple[float, Drawer]] = {
     "rings_of_wrong_ratios": (4.0, rings_of_wrong_ratios),
     "inverted": (2.5, inverted),
@@ -325,5 +380,8 @@ DRAWERS: dict[str, tuple[float, Drawer]] = {
     "paper": (1.5, paper),
     "speaker": (1.0, speaker),
     "target_of_colour": (0.8, target_of_colour),
+    "manhole": (0.8, manhole),
+    "record": (0.6, record),
+    "patterned_sphere": (0.8, patterned_sphere),
 }
 """Weight and drawer by name."""
