@@ -18,12 +18,13 @@ from rich.table import Table
 from detector_training.commands.shell import console
 from detector_training.datasets import card as cards
 from detector_training.datasets.convert import WRITERS, Written
+from detector_training.datasets.files import inside
 from detector_training.datasets.inspection import Report, inspect_dataset
 from detector_training.datasets.load import Format, load_dataset, recognise
 from detector_training.datasets.names import LabelNames
 from detector_training.datasets.output import new_folder, write_file
 from detector_training.datasets.sheet import draw_sheet, write_png
-from detector_training.datasets.split import group_alike, looks_of, split_groups
+from detector_training.datasets.split import Split, group_alike, looks_of, split_groups
 from detector_training.datasets.stats import Spread, Stats, dataset_stats
 from detector_training.datasets.stats_plot import formats, plot_stats
 from detector_training.errors import DatasetError
@@ -174,6 +175,7 @@ def convert(
     Example: python -m detector_training dataset convert runs/train to-correct --to labelme
     """
     samples = load_dataset(data, LabelNames.parse(maps or (), ignores or ()))
+    _refuse_inside(data, out)
     with _bar("pictures") as bar:
         written = WRITERS[to](samples, out, lambda done: bar(done, len(samples)))
     console.print(f"{out}: {_told(written)}", soft_wrap=True, markup=False)
@@ -182,7 +184,9 @@ def convert(
 @dataset.command()
 def split(
     data: Data,
-    out: Annotated[Path, typer.Argument(help="New folder; gets train/ and val/.")],
+    out: Annotated[
+        Path, typer.Argument(help="New folder; gets train/ and val/, for YOLO in images/.")
+    ],
     val: Annotated[float, typer.Option(help="Share of the pictures to hold out.")] = 0.2,
     seed: Annotated[int, typer.Option(help="The same seed holds the same pictures out.")] = 0,
     to: Annotated[Format, typer.Option(help="Format to write.")] = Format.LINES,
@@ -200,6 +204,7 @@ def split(
     Example: python -m detector_training dataset split my-pictures data --val 0.2 --seed 1
     """
     samples = load_dataset(data, LabelNames.parse(maps or (), ignores or ()))
+    _refuse_inside(data, out)
     with _bar("pictures looked at") as bar:
         looks = looks_of(samples, lambda done: bar(done, len(samples)))
     halves = split_groups(samples, group_alike(samples, looks, by_folder), val, seed)
@@ -211,16 +216,32 @@ def split(
             soft_wrap=True,
             markup=False,
         )
-    with new_folder(out) as folder, _bar("pictures copied") as bar:
-        WRITERS[to](halves.train, folder / "train", lambda n: bar(n, len(samples)))
-        past = len(halves.train)
-        WRITERS[to](halves.val, folder / "val", lambda n: bar(past + n, len(samples)))
+    places = _write_halves(halves, out, to)
     console.print(
-        f"{out}: {len(halves.train)} pictures in train/, {len(halves.val)} in val/, "
+        f"{len(halves.train)} pictures in {places[0]}, {len(halves.val)} in {places[1]}, "
         f"{halves.groups} groups of pictures that belong together",
         soft_wrap=True,
         markup=False,
     )
+
+
+def _refuse_inside(data: Path, out: Path) -> None:
+    folder = recognise(data).folder
+    if inside(folder, out) and out.absolute() != folder.absolute():
+        raise DatasetError(f"{out} lies in the data set itself; name a folder beside {folder}")
+
+
+def _write_halves(halves: Split, out: Path, to: Format) -> tuple[Path, Path]:
+    """Write both sides; returns their folders."""
+    total, past = len(halves.train) + len(halves.val), len(halves.train)
+    with _bar("pictures copied") as bar:
+        if to is Format.YOLO:  # holds both sides in one data set
+            WRITERS[to]((*halves.train, *halves.val), out, lambda n: bar(n, total))
+            return out / "images" / "train", out / "images" / "val"
+        with new_folder(out) as folder:
+            WRITERS[to](halves.train, folder / "train", lambda n: bar(n, total))
+            WRITERS[to](halves.val, folder / "val", lambda n: bar(past + n, total))
+    return out / "train", out / "val"
 
 
 @contextmanager
@@ -275,6 +296,8 @@ def _told(written: Written) -> str:
         parts.append(f"{written.clipped} boxes clipped at the border")
     if written.dropped:
         parts.append(f"{written.dropped} boxes outside of their picture left out")
+    if written.turned:
+        parts.append(f"{written.turned} pictures are turned by EXIF, labels count in them as shown")
     if written.lost:
         parts.append(f"this format has no place for {', '.join(written.lost)}")
     return "; ".join(parts)

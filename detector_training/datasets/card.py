@@ -12,7 +12,7 @@ from detector_training.datasets.fingerprint import digest
 from detector_training.datasets.load import Found
 from detector_training.datasets.sample import Sample, read_bytes
 from detector_training.datasets.stats import SPLIT_UNKNOWN, Spread, Stats
-from detector_training.datasets.values import MAX_JSON_BYTES, as_object, parse_json, read_text
+from detector_training.datasets.values import as_object, read_json
 
 CARD = "DATASET_CARD.md"
 DESCRIPTION = "dataset.json"
@@ -33,7 +33,7 @@ def read_description(folder: Path) -> dict[str, Any]:
     path = folder / DESCRIPTION
     if not is_file(path):
         return {}
-    return as_object(parse_json(read_text(path, MAX_JSON_BYTES)), str(path))
+    return as_object(read_json(path), str(path))
 
 
 def hash_dataset(

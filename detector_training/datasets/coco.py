@@ -25,7 +25,6 @@ from detector_training.datasets.sample import (
 )
 from detector_training.datasets.values import (
     MAX_BOXES,
-    MAX_JSON_BYTES,
     as_distance,
     as_key,
     as_list,
@@ -34,8 +33,7 @@ from detector_training.datasets.values import (
     as_share,
     as_side,
     as_text,
-    parse_json,
-    read_text,
+    read_json,
     shown,
 )
 from detector_training.errors import DatasetError
@@ -52,7 +50,7 @@ def read_coco(path: Path, names: LabelNames) -> Iterator[Sample | DatasetError]:
         DatasetError: the file as a whole cannot be read.
     """
     try:
-        raw = as_object(parse_json(read_text(path, MAX_JSON_BYTES)), "a COCO file")
+        raw = as_object(read_json(path), "a COCO file")
         images = as_list(as_key(raw, "images"), "images")
         categories = _by_id(as_list(as_key(raw, "categories"), "categories"), "category")
         _by_id(images, "image")
@@ -187,7 +185,7 @@ def _folders(path: Path) -> tuple[Path, ...]:
 
 def _find(folders: Sequence[Path], name: str) -> Path:
     relative = PurePosixPath(name)
-    if not relative.parts or relative.is_absolute() or ".." in relative.parts or "\0" in name:
+    if not relative.parts or relative.is_absolute() or ".." in relative.parts:
         raise DatasetError(f"file_name {shown(name)} leaves the data set's folder")
     return next((p for f in folders if is_file(p := f / relative)), folders[0] / relative)
 

@@ -20,18 +20,13 @@ _KINDS = {
     "motion_blur": "blur",
     "defocus": "blur",
     "occluder": "obstruction",
-    "arm": "obstruction",
-    "worn": "distortion",
-    "scratched": "distortion",
-    "glossy": "flare",
-    "gloss": "flare",
     "tilted": "orientation",
 }
-"""What generated scenes note in more detail, and which of the eight it is a kind of."""
+"""Finer words for some of the eight."""
 
 OTHER_CONDITIONS = frozenset(
-    {"nominal", "mixed", "over_exposed", "hard_negatives", "lookalike", "noise", "partial"}
-    | {"shadow", "wall"}
+    {"nominal", "mixed", "over_exposed", "glossy", "scratched", "hard_negatives"}
+    | {"arm", "lookalike", "noise", "partial", "shadow", "wall", "gloss", "worn"}
 )
 """Noted as well, and none of the eight."""
 

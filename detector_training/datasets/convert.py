@@ -26,6 +26,8 @@ class Written:
     """Boxes cut at the border of their picture."""
     dropped: int = 0
     """Boxes wholly outside of it."""
+    turned: int = 0
+    """Pictures that an EXIF note turns: labels count in what is shown, as labelme does."""
     lost: tuple[str, ...] = ()
     """Fields that the format has no place for, and that some picture had."""
 
@@ -40,15 +42,16 @@ def write_lines(samples: Sequence[Sample], out: Path, on_progress: OnProgress = 
     Raises:
         DatasetError: ``out`` is taken or cannot be written, or a picture cannot be read.
     """
+    turned = 0
     with new_folder(out) as folder:
         (folder / "images").mkdir()
         rows = []
         for done, (sample, name) in enumerate(_named(samples), 1):
-            copy_picture(sample, folder / "images" / name)
+            turned += copy_picture(sample, folder / "images" / name)
             rows.append(lines.line_of(sample, f"images/{name}") + "\n")
             on_progress(done)
         (folder / lines.LABELS).write_text("".join(rows), encoding="utf-8")
-    return _all(samples)
+    return _all(samples, turned)
 
 
 def write_labelme(
@@ -59,13 +62,14 @@ def write_labelme(
     Raises:
         DatasetError: ``out`` is taken or cannot be written, or a picture cannot be read.
     """
+    turned = 0
     with new_folder(out) as folder:
         for done, (sample, name) in enumerate(_named(samples), 1):
-            copy_picture(sample, folder / name)
+            turned += copy_picture(sample, folder / name)
             label = (folder / name).with_suffix(".json")
             label.write_text(labelme.label_text(sample, name), encoding="utf-8")
             on_progress(done)
-    return _all(samples)
+    return _all(samples, turned)
 
 
 def write_coco(samples: Sequence[Sample], out: Path, on_progress: OnProgress = _quiet) -> Written:
@@ -74,14 +78,15 @@ def write_coco(samples: Sequence[Sample], out: Path, on_progress: OnProgress = _
     Raises:
         DatasetError: ``out`` is taken or cannot be written, or a picture cannot be read.
     """
+    turned = 0
     names = [f"images/{name}" for name in picture_names(samples)]
     with new_folder(out) as folder:
         (folder / "images").mkdir()
         for done, (sample, name) in enumerate(zip(samples, names, strict=True), 1):
-            copy_picture(sample, folder / name)
+            turned += copy_picture(sample, folder / name)
             on_progress(done)
         (folder / coco.ANNOTATIONS).write_text(coco.coco_text(samples, names), encoding="utf-8")
-    return _all(samples)
+    return _all(samples, turned)
 
 
 def write_yolo(samples: Sequence[Sample], out: Path, on_progress: OnProgress = _quiet) -> Written:
@@ -90,7 +95,7 @@ def write_yolo(samples: Sequence[Sample], out: Path, on_progress: OnProgress = _
     Raises:
         DatasetError: ``out`` is taken or cannot be written, or a picture cannot be read.
     """
-    boxes = clipped = dropped = 0
+    boxes = clipped = dropped = turned = 0
     used: set[str] = set()
     with new_folder(out) as folder:
         for done, (sample, name) in enumerate(_named(samples), 1):
@@ -104,14 +109,14 @@ def write_yolo(samples: Sequence[Sample], out: Path, on_progress: OnProgress = _
             boxes += len(kept)
             dropped += len(sample.labels) - len(kept)
             clipped += sum(_reaches_over(b, size) for b in kept)
-            copy_picture(sample, folder / "images" / split / name)
+            turned += copy_picture(sample, folder / "images" / split / name)
             label = (folder / "labels" / split / name).with_suffix(".txt")
             label.write_text(yolo.label_text(kept, size), encoding="utf-8")
             on_progress(done)
         splits = [s for s in yolo.SPLITS if s in used]
         text = yolo.description_text(splits)
         (folder / yolo.DESCRIPTION).write_text(text, encoding="utf-8")
-    return Written(len(samples), boxes, clipped, dropped, _lost(samples))
+    return Written(len(samples), boxes, clipped, dropped, turned, _lost(samples))
 
 
 WRITERS = {
@@ -126,8 +131,8 @@ def _named(samples: Sequence[Sample]) -> list[tuple[Sample, str]]:
     return list(zip(samples, picture_names(samples), strict=True))
 
 
-def _all(samples: Sequence[Sample]) -> Written:
-    return Written(len(samples), sum(len(s.boxes) for s in samples))
+def _all(samples: Sequence[Sample], turned: int) -> Written:
+    return Written(len(samples), sum(len(s.boxes) for s in samples), turned=turned)
 
 
 def _reaches_over(box: LabelBox, size: tuple[int, int]) -> bool:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from detector_training.datasets.check import Finding, Kind, check_sample
-from detector_training.datasets.files import walk
+from detector_training.datasets.files import is_file, walk
 from detector_training.datasets.fingerprint import Look, alike, digest, look_of
 from detector_training.datasets.header import SUFFIXES
 from detector_training.datasets.load import Format, Found, read_entries, recognise
@@ -115,7 +115,7 @@ def _look(samples: Sequence[Sample], on_progress: Callable[[int], None]) -> _Pic
             data = read_bytes(sample.image)
             look = look_of(decode_image(sample, data))
         except DatasetError as error:
-            kind = Kind.PICTURE if data or sample.image.exists() else Kind.NO_PICTURE
+            kind = Kind.PICTURE if data or is_file(sample.image) else Kind.NO_PICTURE
             seen.findings.append(Finding(kind, *_place_and_text(error, sample), sample=i))
         seen.digests.append(digest(data) if data else None)
         seen.looks.append(look)

@@ -28,7 +28,6 @@ from detector_training.datasets.sample import (
 )
 from detector_training.datasets.values import (
     MAX_BOXES,
-    MAX_JSON_BYTES,
     as_distance,
     as_key,
     as_list,
@@ -37,8 +36,7 @@ from detector_training.datasets.values import (
     as_share,
     as_side,
     as_text,
-    parse_json,
-    read_text,
+    read_json,
     shown,
 )
 from detector_training.errors import DatasetError
@@ -59,7 +57,7 @@ def read_labelme(folder: Path, names: LabelNames) -> Iterator[Sample | DatasetEr
     """
     for path in walk(folder, {".json"}):
         try:
-            raw = parse_json(read_text(path, MAX_JSON_BYTES))
+            raw = read_json(path)
             if isinstance(raw, dict) and "shapes" not in raw and "imagePath" not in raw:
                 continue  # another kind of file: a camera's, our own dataset.json
             yield from _entries(folder, path, as_object(raw, "a label"), names)
@@ -134,7 +132,7 @@ def _image(folder: Path, path: Path, raw: dict[str, Any]) -> Path:
             raise DatasetError(f"imagePath {shown(text)} is not relative, and not found beside it")
         return image
     image = Path(os.path.normpath(path.parent / given.as_posix()))
-    if "\0" in text or not inside(folder, image):
+    if not inside(folder, image):
         raise DatasetError(
             f"imagePath {shown(text)} leaves {folder}; give the folder that has both"
         )

@@ -32,7 +32,7 @@ def new_folder(out: Path) -> Iterator[Path]:
             out.rmdir()
         os.replace(part, out)
     except OSError as error:
-        raise DatasetError(f"cannot write to {out}: {error.strerror}") from None
+        raise DatasetError(f"cannot write to {out}: {error.strerror or error}") from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
 
@@ -48,7 +48,7 @@ def write_file(path: Path, content: str | bytes) -> None:
         part.write_bytes(content.encode() if isinstance(content, str) else content)
         os.replace(part, path)
     except OSError as error:
-        raise DatasetError(f"cannot write {path}: {error.strerror}") from None
+        raise DatasetError(f"cannot write {path}: {error.strerror or error}") from None
     finally:
         if part.is_file():
             part.unlink()
@@ -73,12 +73,16 @@ def picture_names(samples: Sequence[Sample]) -> list[str]:
     return names
 
 
-def copy_picture(sample: Sample, path: Path) -> None:
+def copy_picture(sample: Sample, path: Path) -> bool:
     """Copy a picture byte by byte, checked against its label.
+
+    Returns:
+        Whether an EXIF note turns it when it is shown.
 
     Raises:
         DatasetError: it cannot be read, or has another size than its label says.
     """
     data = read_bytes(sample.image)
-    check_header(sample, data)
+    header = check_header(sample, data)
     path.write_bytes(data)
+    return header.orientation != 1

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from detector_training.datasets.header import FORMATS, read_header
+from detector_training.datasets.header import FORMATS, Header, read_header
 from detector_training.datasets.names import LabelNames
 from detector_training.datasets.values import MAX_SIDE_PX
 from detector_training.errors import DatasetError
@@ -138,8 +138,8 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def check_header(sample: Sample, data: bytes) -> None:
-    """Check the beginning of a picture against its label; nothing is decoded.
+def check_header(sample: Sample, data: bytes) -> Header:
+    """The size in a picture's first bytes, checked against its label; nothing is decoded.
 
     Raises:
         DatasetError: the bytes are no picture, or one of another size than its label says.
@@ -162,6 +162,7 @@ def check_header(sample: Sample, data: bytes) -> None:
             f"picture {sample.image} is {header.width}x{header.height}; "
             f"at most {MAX_SIDE_PX} a side"
         )
+    return header
 
 
 def decode_image(sample: Sample, data: bytes) -> NDArray[np.uint8]:

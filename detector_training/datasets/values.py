@@ -51,6 +51,19 @@ def parse_json(text: str) -> Any:
         raise DatasetError(f"no JSON: {error}") from None
 
 
+def read_json(path: Path) -> Any:
+    """The value in a JSON file.
+
+    Raises:
+        DatasetError: it cannot be read, is too large or no JSON; names the file.
+    """
+    text = read_text(path, MAX_JSON_BYTES)
+    try:
+        return parse_json(text)
+    except DatasetError as error:
+        raise DatasetError(f"{path}: {error}") from None
+
+
 def as_object(raw: Any, what: str) -> dict[str, Any]:
     """A JSON object.
 
@@ -76,13 +89,15 @@ def as_list(raw: Any, what: str, most: int | None = None) -> list[Any]:
 
 
 def as_text(raw: Any, what: str) -> str:
-    """A string of 1 to ``MAX_NAME`` characters.
+    """A string of 1 to ``MAX_NAME`` characters that can be shown on one line.
 
     Raises:
         DatasetError: ``raw`` is none.
     """
-    if not isinstance(raw, str) or not 0 < len(raw) <= MAX_NAME:
-        raise DatasetError(f"{what} must be a text of 1 to {MAX_NAME} characters, not {shown(raw)}")
+    if not isinstance(raw, str) or not 0 < len(raw) <= MAX_NAME or not raw.isprintable():
+        raise DatasetError(
+            f"{what} must be a text of 1 to {MAX_NAME} printable characters, not {shown(raw)}"
+        )
     return raw
 
 

@@ -276,7 +276,7 @@ def _listed(path: Path) -> Iterator[Path]:
         raise DatasetError(f"{path} lists over {MAX_FILES} pictures")
     for line in lines:
         if text := line.strip():
-            if "\0" in text:
+            if not text.isprintable():
                 raise DatasetError(f"{path} is no list of pictures")
             yield path.parent / text
 

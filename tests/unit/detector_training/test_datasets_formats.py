@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from detector_training.datasets import yolo
 from detector_training.datasets.coco import KEYS
@@ -505,6 +506,30 @@ def test_nothing_half_written_is_left(tmp_path, kind):
     (tmp_path / "taken" / "x").touch()
     with pytest.raises(DatasetError, match="holds something already"):
         WRITERS[kind]([good], tmp_path / "taken")
+
+
+def test_pictures_that_are_turned_stay_so(tmp_path):
+    """The bytes are copied, and the number is told: some YOLO and COCO tools do not turn them."""
+    exif = Image.Exif()
+    exif[0x112] = 8
+    Image.new("RGB", (WIDTH, HEIGHT)).save(tmp_path / "a.jpg", exif=exif)
+    sample = make_sample(tmp_path / "a.jpg", (HEIGHT, WIDTH), [])
+    for kind, write in WRITERS.items():
+        assert write([sample], tmp_path / kind).turned == 1
+        assert load_dataset(tmp_path / kind)[0].read().shape == (WIDTH, HEIGHT, 3)
+
+
+@pytest.mark.parametrize("name", ["a\nb.png", "\ud800.png", "a\0.png", "x" * 300, ""])
+def test_names_that_no_file_can_have_are_refused_in_one_line(tmp_path, name):
+    """Line ends, halves of characters, NUL, too long, none."""
+    picture(tmp_path / "a.png")
+    images = [{"id": 7, "file_name": name, "width": 1, "height": 1}]
+    coco(tmp_path / "coco", images=images)
+    labelme_json(tmp_path / "labelme", "a", [], imagePath=name)
+    for kind in ("coco", "labelme"):
+        with pytest.raises(DatasetError, match="printable characters") as caught:
+            load_dataset(tmp_path / kind)
+        assert str(caught.value).isprintable()
 
 
 def test_text_files_without_a_picture_are_found(tmp_path):
