@@ -17,6 +17,7 @@ from rich.table import Table
 
 from detector_training.commands.shell import console
 from detector_training.datasets import card as cards
+from detector_training.datasets.check import Kind
 from detector_training.datasets.convert import WRITERS, Written
 from detector_training.datasets.files import inside
 from detector_training.datasets.inspection import Report, inspect_dataset
@@ -247,7 +248,7 @@ def _write_halves(halves: Split, out: Path, to: Format) -> tuple[Path, Path]:
 @contextmanager
 def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
     columns = (BarColumn(), MofNCompleteColumn(), what, TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
+    with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(what, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
@@ -258,6 +259,8 @@ def _print_findings(report: Report) -> None:
         typer.echo(f"{'wrong' if finding.wrong else 'note '}  {place}{finding.text}")
     if (more := len(report.findings) - MOST_LINES) > 0:
         typer.echo(f"... and {more} more; --json lists all")
+    if any(f.kind is Kind.NESTING for f in report.findings):
+        typer.echo("boxes go around whole shapes, also where something hides a part of them")
     kinds = Counter(str(f.kind) for f in report.findings if f.wrong)
     told = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common()) or "nothing wrong"
     notes = len(report.findings) - report.wrong

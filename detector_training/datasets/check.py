@@ -115,8 +115,7 @@ def _not_nested(
                 yield (
                     [i, near[0]],
                     f"{inner} {_shown(labels[i])} does not nest in {outer} {_shown(o)}: on "
-                    f"{target.name} they share their centre and {outer} is {ratio:.2f} times as "
-                    "large; draw boxes around the whole shapes, also where something hides them",
+                    f"{target.name} that is {ratio:.2f} times as large, around the same centre",
                 )
 
 

@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from detector_training.datasets.fingerprint import Look, alike, difference, look_of
+from detector_training.datasets.fingerprint import Look, difference, link_alike, look_of
 from detector_training.datasets.inspection import MAX_COMPARED
 from detector_training.datasets.sample import Sample, decode_image, read_bytes
 from detector_training.errors import DatasetError
@@ -74,8 +74,9 @@ def group_alike(
             if by_folder or _follows(looks[i], looks[j]):
                 together.join(i, j)
     if len(samples) <= MAX_COMPARED:
-        for i, j in alike(looks, looks):
-            together.join(i, j)
+        for members in link_alike(looks):
+            for i, j in pairwise(members):
+                together.join(i, j)
     return together.members()
 
 

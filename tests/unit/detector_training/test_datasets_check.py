@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from detector_training.datasets.check import Kind, check_sample
 from detector_training.datasets.convert import write_labelme, write_lines, write_yolo
-from detector_training.datasets.fingerprint import alike, difference, look_of
+from detector_training.datasets.fingerprint import difference, link_alike, look_of, nearest_alike
 from detector_training.datasets.inspection import inspect_dataset
 from detector_training.datasets.sample import LabelBox, make_sample, share_inside
 from detector_training.datasets.sheet import draw_sheet
@@ -105,7 +105,11 @@ def wrong_boxes():
             Kind.NESTING,
             "T_best .* does not nest in T_better",
         ),
-        "too large": ([good, moved(better, scale=1.4)], Kind.NESTING, "1.33 times as large"),
+        "too large": (
+            [good, moved(better, scale=1.4)],
+            Kind.NESTING,
+            "that is 1.33 times as large",
+        ),
         "elsewhere": ([good, better, moved(best, dx=250)], Kind.NESTING, "lies in no T_good"),
         "outside": ([moved(good, dx=900)], Kind.OUTSIDE, "outside of its 640x480 px"),
         "twice": ([good, better, best, moved(good, dx=1)], Kind.DUPLICATE, "T_good .* twice"),
@@ -210,7 +214,9 @@ def test_a_yolo_label_without_a_picture_is_found(tmp_path):
     """The text file is named."""
     folder = dataset(tmp_path, write=write_yolo)
     (folder / "images" / "train" / "0.png").unlink()
-    (finding,) = inspect_dataset(folder, TARGET).findings
+    (folder / "labels" / "train" / "1.txt").unlink()
+    finding, note = inspect_dataset(folder, TARGET).findings
+    assert (note.wrong, Path(note.file).name) == (False, "1.png")
     assert (finding.kind, Path(finding.file).name) == (Kind.NO_PICTURE, "0.txt")
 
 
@@ -246,8 +252,27 @@ def test_looks_tell_pictures_apart():
     assert looks[3] is None
     assert difference(looks[0], looks[2]) < 8
     assert difference(looks[0], looks[1]) > 60
-    assert list(alike(looks, looks)) == [(0, 0), (0, 2), (1, 1), (2, 0), (2, 2)]
-    assert list(alike([None], looks)) == []
+    assert nearest_alike(looks, looks[1:]) == [1, 0, 1, None]
+    assert nearest_alike(looks, [None]) == [None] * 4
+    assert list(link_alike(looks)) == [[0, 2]]
+    assert list(link_alike([None])) == []
+
+
+@given(st.lists(st.integers(0, 2**16 - 1), max_size=24), st.integers(0, 4))
+def test_linked_looks_are_the_components_of_a_graph(values, most_bits):
+    """Found again by walking from each picture to all that are near, step by step."""
+    looks = [np.array([v, 0, 0, 0], np.uint64) for v in values]
+    expected = set()
+    for i in range(len(values)):
+        reached, edge = {i}, [i]
+        while edge:
+            k = edge.pop()
+            near = {j for j, v in enumerate(values) if (v ^ values[k]).bit_count() <= most_bits}
+            edge += near - reached
+            reached |= near
+        if len(reached) > 1:
+            expected.add(frozenset(reached))
+    assert {frozenset(g) for g in link_alike(looks, most_bits)} == expected
 
 
 def test_no_data_set_is_one_error(tmp_path):
