@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.table import Table
 
-from detector_training.commands.shell import console
+from detector_training.commands.shell import command_line, console
 from detector_training.datasets import card as cards
 from detector_training.datasets.check import Kind
 from detector_training.datasets.convert import WRITERS, Written
@@ -176,9 +176,10 @@ def convert(
     Example: python -m detector_training dataset convert runs/train to-correct --to labelme
     """
     samples = load_dataset(data, LabelNames.parse(maps or (), ignores or ()))
-    _refuse_inside(data, out)
+    description = _handed_on(data, out)
     with _bar("pictures") as bar:
         written = WRITERS[to](samples, out, lambda done: bar(done, len(samples)))
+    write_file(out / cards.DESCRIPTION, description)
     console.print(f"{out}: {_told(written)}", soft_wrap=True, markup=False)
 
 
@@ -205,7 +206,7 @@ def split(
     Example: python -m detector_training dataset split my-pictures data --val 0.2 --seed 1
     """
     samples = load_dataset(data, LabelNames.parse(maps or (), ignores or ()))
-    _refuse_inside(data, out)
+    description = _handed_on(data, out)
     with _bar("pictures looked at") as bar:
         looks = looks_of(samples, lambda done: bar(done, len(samples)))
     halves = split_groups(samples, group_alike(samples, looks, by_folder), val, seed)
@@ -218,6 +219,8 @@ def split(
             markup=False,
         )
     places = _write_halves(halves, out, to)
+    for place in (out,) if to is Format.YOLO else places:
+        write_file(place / cards.DESCRIPTION, description)
     console.print(
         f"{len(halves.train)} pictures in {places[0]}, {len(halves.val)} in {places[1]}, "
         f"{halves.groups} groups of pictures that belong together",
@@ -226,10 +229,12 @@ def split(
     )
 
 
-def _refuse_inside(data: Path, out: Path) -> None:
+def _handed_on(data: Path, out: Path) -> str:
+    """The description of what is made from a data set; refuses to make it inside of that."""
     folder = recognise(data).folder
     if inside(folder, out) and out.absolute() != folder.absolute():
         raise DatasetError(f"{out} lies in the data set itself; name a folder beside {folder}")
+    return cards.handed_on(cards.read_description(folder), data, command_line())
 
 
 def _write_halves(halves: Split, out: Path, to: Format) -> tuple[Path, Path]:

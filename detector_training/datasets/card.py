@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,13 @@ def read_description(folder: Path) -> dict[str, Any]:
     if not is_file(path):
         return {}
     return as_object(read_json(path), str(path))
+
+
+def handed_on(description: Mapping[str, Any], made_from: Path, command: str) -> str:
+    """The ``dataset.json`` of a data set made from another one: its licences stay with it."""
+    kept = {k: description[k] for k in ("target", "licences", "backgrounds") if k in description}
+    raw = {"command": command, "made_from": str(made_from), **kept}
+    return json.dumps(raw, indent=2) + "\n"
 
 
 def hash_dataset(
@@ -98,7 +106,7 @@ def _how(found: Found, stats: Stats, description: Mapping[str, Any]) -> str:
     shown = list(stats.picture_sizes.items())[:5]
     sizes = ", ".join(f"{size} ({n})" for size, n in shown)
     lines.append(f"- picture sizes: {sizes}{' and others' if len(stats.picture_sizes) > 5 else ''}")
-    for key in ("target", "recipe", "split", "seed", "command"):
+    for key in ("target", "recipe", "split", "seed", "made_from", "command"):
         if (value := description.get(key)) is not None:
             lines.append(f"- {key}: `{_plain(value)}`")
     if "command" not in description:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import NoReturn
 
 from detector_training.errors import DatasetError
 
@@ -16,18 +17,26 @@ PART = ".part"
 def walk(folder: Path, suffixes: Collection[str]) -> Iterator[Path]:
     """Files whose suffix in small letters is one of ``suffixes``, nested folders included.
 
-    Hidden and unfinished folders are passed over; links to folders are not followed, so that a
-    circle of them ends.
+    Hidden and unfinished folders are passed over; links to folders are followed, each folder once.
 
     Raises:
         DatasetError: there are more than ``MAX_FILES``, or a folder cannot be listed.
     """
     seen = 0
+    visited: set[tuple[int, int]] = set()
 
-    def refuse(error: OSError) -> None:
+    def refuse(error: OSError) -> NoReturn:
         raise DatasetError(f"{error.filename}: {error.strerror}") from None
 
-    for root, folders, files in os.walk(folder, onerror=refuse):
+    for root, folders, files in os.walk(folder, onerror=refuse, followlinks=True):
+        try:
+            place = os.stat(root)
+        except OSError as error:  # gone meanwhile
+            refuse(error)
+        if (place.st_dev, place.st_ino) in visited:  # links may lead in a circle
+            folders.clear()
+            continue
+        visited.add((place.st_dev, place.st_ino))
         folders[:] = sorted(f for f in folders if not f.startswith(".") and not f.endswith(PART))
         seen += len(files)
         if seen > MAX_FILES:

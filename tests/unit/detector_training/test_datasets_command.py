@@ -74,6 +74,17 @@ def test_stats_and_card(data, run, tmp_path):
     assert "# Data set data" in (data / "DATASET_CARD.md").read_text()
 
 
+def test_licences_stay_with_what_is_made_from_a_data_set(data, run, tmp_path):
+    """Converted, split: the card still tells them."""
+    (data / "dataset.json").write_text('{"licences": {"mine": "CC0"}, "seed": 3}')
+    assert run("convert", data, tmp_path / "a", "--to", "yolo")[0] == 0
+    assert run("split", tmp_path / "a", tmp_path / "b")[0] == 0
+    assert run("card", tmp_path / "b" / "val")[0] == 0
+    card = (tmp_path / "b" / "val" / "DATASET_CARD.md").read_text()
+    assert "| mine | CC0 | - |" in card
+    assert f"made_from: `{tmp_path / 'a'}`" in card
+
+
 @pytest.mark.parametrize("kind", Format)
 def test_convert_and_split(data, run, tmp_path, kind):
     """Each format comes out as itself, and both sides of a split can be read."""

@@ -532,6 +532,15 @@ def test_names_that_no_file_can_have_are_refused_in_one_line(tmp_path, name):
         assert str(caught.value).isprintable()
 
 
+def test_linked_folders_are_followed_once(tmp_path):
+    """Pictures often lie on another disk; links that lead in a circle end."""
+    labelme_json(tmp_path / "elsewhere", "a", [])
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "flight").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "back").symlink_to(tmp_path / "data")
+    assert [s.image.name for s in load_dataset(tmp_path / "data")] == ["a.png"]
+
+
 def test_text_files_without_a_picture_are_found(tmp_path):
     """In folders called labels, the list of classes aside."""
     picture(tmp_path / "images" / "a.png")
