@@ -12,16 +12,21 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from edge_service.detector.files import DEFAULT_WEIGHTS, FORMAT, Kind, kind_of
 from edge_service.detector.net import NetConfig, TargetNet
 from edge_service.errors import WeightsError
 from target_pose.target import Level
 
-FORMAT = "aerial-contact-detector"
 VERSION = "1"
 MAX_WEIGHTS_BYTES = 10_000_000
 MIN_WIDTH, MAX_WIDTH = 4, 64
-DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "bullseye-400.safetensors"
-"""The weights that come with the package."""
+__all__ = [
+    "DEFAULT_WEIGHTS",
+    "MAX_WEIGHTS_BYTES",
+    "WeightsInfo",
+    "load_weights",
+    "save_weights",
+]
 
 _COUNTER = "num_batches_tracked"
 _DTYPES = {"F32": torch.float32}
@@ -75,7 +80,10 @@ def load_weights(path: Path) -> tuple[TargetNet, WeightsInfo]:
         size = path.stat().st_size
         if size > MAX_WEIGHTS_BYTES:
             raise WeightsError(f"weights {path}: {size} bytes are over {MAX_WEIGHTS_BYTES}")
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        data = path.read_bytes()
+        if kind_of(path, data) is not Kind.SAFETENSORS:
+            raise WeightsError(f"weights {path}: an .onnx file, and no .safetensors file of ours")
+        digest = hashlib.sha256(data).hexdigest()
         with safe_open(path, framework="pt") as file:
             info = _info(path, file.metadata() or {}, digest)
             expected = _expected_shapes(info.config)

@@ -1,0 +1,126 @@
+"""The engines by name, and the one way to open them: ``open_engine("openvino", weights)``.
+
+One process has one engine. Only ``torch`` imports torch here; the others get our weights converted
+by a process of its own (``converted``), or take an ONNX file, ours or a foreign one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from edge_service.detector.converted import converted, default_cache
+from edge_service.detector.detector import (
+    SCORE_THRESHOLD,
+    WARM_UP_SIZE,
+    EngineDetector,
+    check_threads,
+    check_threshold,
+)
+from edge_service.detector.files import DEFAULT_WEIGHTS, Kind, read_model_file, sha256
+from edge_service.detector.threads import available_cpus, wait_asleep
+from edge_service.errors import EdgeError, WeightsError
+
+if TYPE_CHECKING:
+    from edge_service.detector.onnxruntime_engine import OnnxRuntimeEngine
+    from edge_service.detector.openvino_engine import OpenVinoEngine
+
+EngineName: TypeAlias = Literal["torch", "onnxruntime", "openvino"]
+ENGINES: tuple[str, ...] = get_args(EngineName)
+
+
+def open_engine(
+    name: str,
+    weights: Path | None = None,
+    *,
+    threads: int | None = None,
+    precision: str = "auto",
+    device: str = "auto",
+    score_threshold: float = SCORE_THRESHOLD,
+    classes: str | None = None,
+    cache: Path | None = None,
+) -> EngineDetector:
+    """A detector that runs on the engine of this name, warm.
+
+    Args:
+        name: ``torch``, ``onnxruntime`` or ``openvino``.
+        weights: A safetensors file of ours, or for the latter two an ONNX file; None: packaged.
+        threads: of the engine's pool; None: what affinity and CPU quota leave.
+        precision: ``auto``: the fastest that costs no accuracy here. torch: fp32 or bf16, on a
+            GPU fp32 or fp16; openvino: fp32 or bf16; onnxruntime: what the file has.
+        device: of torch: ``auto``, ``cpu`` or ``cuda``.
+        score_threshold: boxes at or below are dropped.
+        classes: of a foreign ONNX model without names: comma-separated, in its order.
+        cache: folder for conversions; None: ``~/.cache/aerial-contact``.
+
+    Raises:
+        WeightsError: the file cannot be used, or not by this engine.
+        EdgeError: an argument is out of bounds.
+        ModuleNotFoundError: the engine's package is not installed.
+    """
+    if name not in ENGINES:
+        raise EdgeError(f"engine {name!r} is not one of {', '.join(ENGINES)}")
+    path = weights or DEFAULT_WEIGHTS
+    if name != "torch":
+        return _on_onnx(name, path, threads, precision, score_threshold, classes, cache)
+    kind, _ = read_model_file(path)
+    if kind is Kind.ONNX:
+        raise WeightsError(
+            f"weights {path}: torch takes our .safetensors files; "
+            "for an .onnx file use --engine onnxruntime or openvino"
+        )
+    wait_asleep()
+    from edge_service.detector.engine import TorchDetector  # loads torch: only where it is used
+
+    return TorchDetector(
+        path,
+        threads=threads,
+        precision=precision,  # type: ignore[arg-type] # checked there
+        score_threshold=score_threshold,
+        device=device,  # type: ignore[arg-type] # checked there
+    )
+
+
+def _on_onnx(
+    name: str,
+    path: Path,
+    threads: int | None,
+    precision: str,
+    score_threshold: float,
+    classes: str | None,
+    cache: Path | None,
+) -> EngineDetector:
+    check_threads(threads)
+    check_threshold(score_threshold)
+    from edge_service.detector.onnx_file import read_onnx
+    from edge_service.detector.onnx_model import model_of
+
+    kind, data = read_model_file(path)
+    onnx_path = converted(path, data, cache or default_cache()) if kind is not Kind.ONNX else path
+    file = read_onnx(onnx_path)
+    threads = threads or available_cpus()
+    engine: OnnxRuntimeEngine | OpenVinoEngine
+    # each import loads a runtime: one of them alone, and only where it is used
+    if name == "openvino":
+        from edge_service.detector.openvino_engine import BACKEND, OpenVinoEngine
+
+        engine = OpenVinoEngine(file, threads, precision)
+    else:
+        from edge_service.detector.onnxruntime_engine import BACKEND, OnnxRuntimeEngine
+
+        engine = OnnxRuntimeEngine(file, threads, precision)
+    blank = np.zeros((1, *(file.size or WARM_UP_SIZE), 3), np.uint8)
+    model = model_of(file, engine.infer(blank), classes)
+    if onnx_path != path:  # known by what was asked for, whatever it was converted to
+        model = replace(model, name=path.stem, sha256=sha256(data))
+    running = {
+        "engine": name,
+        "backend": BACKEND,
+        "device": "cpu",
+        "precision": engine.precision,
+        "threads": threads,
+    }
+    return EngineDetector(engine, model, running, score_threshold)

@@ -1,0 +1,147 @@
+"""Our weights as an ONNX file: ``python -m edge_service.detector.onnx_export WEIGHTS OUT.onnx``.
+
+The exporter is PyTorch's by tracing (``dynamo=False``). The net is plain convolutions without a
+branch, which a trace holds in full; the newer exporter takes two more packages, ten times as long,
+and writes the paths of source files into the graph. Height and width stay free: measured, a graph
+of one size is not faster in either runtime.
+
+The same weights give the same bytes: what varies (names of tools, comments) is taken out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import warnings
+from io import BytesIO
+from pathlib import Path
+
+import onnx
+import torch
+from torch import Tensor, nn
+from torch.jit._trace import TracerWarning
+
+from edge_service.detector.files import FORMAT
+from edge_service.detector.net import STRIDES, TargetNet
+from edge_service.detector.onnx_model import EXPORT_VERSION, OUTPUTS
+from edge_service.detector.weights import WeightsInfo, load_weights
+from edge_service.errors import EdgeError, WeightsError
+
+OPSET = 17
+MIN_OPSET, MAX_OPSET = 13, 20
+"""What the exporter writes and both runtimes read."""
+
+
+class _Plain(nn.Module):
+    """Both answers as plain outputs."""
+
+    def __init__(self, net: TargetNet) -> None:
+        super().__init__()
+        self._net = net
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        logits, distances = self._net(images)
+        return logits, distances
+
+
+def onnx_bytes(
+    net: TargetNet, info: WeightsInfo, *, opset: int = OPSET, dynamic_batch: bool = False
+) -> bytes:
+    """The net as an ONNX model: fused, fp32, checked by ``onnx.checker``.
+
+    Input ``images`` (B, 3, H, W), RGB in [0, 1], sides multiples of 32. Outputs ``logits``
+    (B, N, C) and ``distances`` (B, N, C, 4), as ``net.Prediction``. B is 1 unless
+    ``dynamic_batch``.
+
+    Raises:
+        EdgeError: the opset is out of bounds.
+        WeightsError: the exporter or the checker refuses the net.
+    """
+    if not MIN_OPSET <= opset <= MAX_OPSET:
+        raise EdgeError(f"opset {opset} is not in [{MIN_OPSET}, {MAX_OPSET}]")
+    whole = _Plain(net.fused()).eval()
+    example = torch.zeros(2 if dynamic_batch else 1, 3, 96, 64)
+    batch = {0: "batch"} if dynamic_batch else {}
+    raw = BytesIO()
+    with warnings.catch_warnings(), torch.no_grad():
+        # It says that it will be replaced, and that the batch's size is a constant of the trace
+        warnings.simplefilter("ignore", DeprecationWarning)
+        warnings.simplefilter("ignore", TracerWarning)
+        torch.onnx.export(
+            whole,
+            (example,),
+            raw,  # type: ignore[arg-type] # it takes a file as well
+            input_names=["images"],
+            output_names=list(OUTPUTS),
+            dynamic_axes={
+                "images": {**batch, 2: "height", 3: "width"},
+                **{name: {**batch, 1: "cells"} for name in OUTPUTS},
+            },
+            opset_version=opset,
+            dynamo=False,
+        )
+    model = onnx.load_model_from_string(raw.getvalue())
+    _sign(model, info)
+    try:
+        onnx.checker.check_model(model, full_check=True)
+    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
+        raise WeightsError(f"the exported graph is not valid ONNX: {error}") from None
+    data: bytes = model.SerializeToString(deterministic=True)
+    return data
+
+
+def _sign(model: onnx.ModelProto, info: WeightsInfo) -> None:
+    """Say what it is, and leave out what differs from machine to machine."""
+    model.producer_name, model.producer_version, model.doc_string = "aerial-contact", "", ""
+    model.graph.name, model.graph.doc_string = FORMAT, ""
+    for node in model.graph.node:
+        node.doc_string = ""
+    del model.metadata_props[:]
+    metadata = {
+        "format": FORMAT,
+        "export_version": EXPORT_VERSION,
+        "weights_version": info.version,
+        "weights_sha256": info.sha256,
+        "target": info.target,
+        "classes": ",".join(info.config.classes),
+        "strides": ",".join(map(str, STRIDES)),
+        "width": str(info.config.width),
+    }
+    for key, value in sorted(metadata.items()):
+        model.metadata_props.add(key=key, value=value)
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that a reader sees all of it or none.
+
+    Raises:
+        WeightsError: it cannot be written.
+    """
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(data)
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise WeightsError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Convert one file; for the worker, which starts this in a process of its own."""
+    parser = argparse.ArgumentParser(prog="python -m edge_service.detector.onnx_export")
+    parser.add_argument("weights", type=Path, help="a .safetensors file of ours")
+    parser.add_argument("out", type=Path, help="the .onnx file to write")
+    given = parser.parse_args(arguments)
+    try:
+        torch.set_num_threads(1)
+        net, info = load_weights(given.weights)
+        write_whole(given.out, onnx_bytes(net, info))
+    except EdgeError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
