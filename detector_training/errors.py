@@ -5,7 +5,8 @@
     TrainingError
     ├── BackgroundsError   a folder of background pictures that cannot be used
     ├── SceneError         a request for scenes that cannot be met
-    └── DatasetError       a data set folder that is missing or malformed
+    ├── DatasetError       a data set folder that is missing or malformed
+    └── EvaluationError    an evaluation asked for with numbers or files that give none
 """
 
 from __future__ import annotations
@@ -25,3 +26,7 @@ class SceneError(TrainingError):
 
 class DatasetError(TrainingError):
     """A data set folder is missing, malformed, or in the way of a new one."""
+
+
+class EvaluationError(TrainingError):
+    """An evaluation was asked for with numbers or files that give none."""

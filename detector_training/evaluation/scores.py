@@ -1,192 +1,185 @@
-"""How good a detector is: average precision, recall and false alarms, per level and condition.
+"""How good a detector is: average precision, recall and false alarms, per level and per group.
 
-A true box counts when enough of it is visible and it is not tiny; one that does not count is
-neither missed nor, when found, a false alarm. The row ``candidate`` scores what is left after the
-nesting check: that is what the localiser gets to see.
+The row ``candidate`` scores what is left after the nesting check: what the localiser gets to see.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple, TypeAlias
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from detector_training.datasets.sample import Sample
-from edge_service.detector.engine import SCORE_THRESHOLD
-from edge_service.detector.nms import pairwise_iou
-from target_pose.candidate import Box, Candidate, Detections
-from target_pose.nesting import group
+from detector_training.evaluation.groups import ALL, By, groups
+from detector_training.evaluation.intervals import Interval, wilson
+from detector_training.evaluation.matching import (
+    Counting,
+    Outcome,
+    candidate_outcome,
+    level_outcome,
+    match,
+)
+from detector_training.evaluation.operating_point import OperatingPoint, at_false_positive_rate
+from detector_training.evaluation.precision_recall import RESAMPLES, precision_intervals
+from detector_training.evaluation.run import Detect, Find, run_detector
+from edge_service.detector.detector import SCORE_THRESHOLD
 from target_pose.target import Level, Target
 
-Detect: TypeAlias = Callable[[NDArray[np.uint8]], Detections]
-
-MIN_VISIBLE = 0.5
-MIN_SIDE_PX = 8.0
-IOU_STEPS = tuple(np.arange(0.5, 0.96, 0.05).round(2).tolist())
 CANDIDATE = "candidate"
-ALL = "all"
-
-
-class Outcome(NamedTuple):
-    """What was found of one kind in one picture; K found, M true."""
-
-    scores: NDArray[np.float64]  # (K,), falling
-    overlaps: NDArray[np.float32]  # (K, M)
-    counts: NDArray[np.bool_]  # (M,)
+BOOTSTRAP_SEED = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Scores:
     """One row of the report; None where there is nothing to find."""
 
+    pictures: int
     truths: int
-    ap50: float | None
-    ap50_95: float | None
-    recall: float | None
+    ap50: Interval | None
+    ap50_95: Interval | None
+    recall: Interval | None
     """At ``SCORE_THRESHOLD`` and IoU 0.5."""
     false_per_picture: float
     """Likewise."""
+    pictures_with_false: Interval
+    """Share of them, likewise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Scores by condition (``all``, ``negative`` and the data set's own) and by level."""
+    """Scores by group and by level."""
 
     pictures: int
-    rows: dict[str, dict[str, Scores]]
+    counting: Counting
+    groups: dict[By, dict[str, dict[str, Scores]]]
+    operating_point: OperatingPoint
+    """Of the candidates, over all pictures."""
+
+    @property
+    def rows(self) -> dict[str, dict[str, Scores]]:
+        """Scores by condition: ``all``, ``negative`` and the data set's own."""
+        return self.groups[By.CONDITION]
 
     def as_json(self) -> dict[str, Any]:
-        """The same as plain values."""
+        """The same as plain values; an interval has ``value low high``."""
         return {
             "pictures": self.pictures,
             "score_threshold": SCORE_THRESHOLD,
-            "rows": {c: {w: asdict(s) for w, s in r.items()} for c, r in self.rows.items()},
+            "counting": asdict(self.counting),
+            "confidence": 0.95,
+            "operating_point": _plain(self.operating_point),
+            "rows": _plain_rows(self.rows),
+            **{
+                f"by_{by}": _plain_rows(rows)
+                for by, rows in self.groups.items()
+                if by is not By.CONDITION
+            },
         }
 
 
 def evaluate_detector(detect: Detect, samples: Iterable[Sample], target: Target) -> Report:
-    """Run a detector over a data set and score it.
-
-    Args:
-        detect: Should return boxes down to a low score, else the AP is cut short.
-        samples: Pictures and truth.
-        target: For the nesting check.
+    """Run a detector over a data set and score it with the usual settings.
 
     Raises:
         DatasetError: a picture cannot be read.
     """
-    outcomes: dict[str, dict[str, list[Outcome]]] = {}
-    pictures = 0
-    for sample in samples:
-        pictures += 1
-        image = sample.read()
-        detections = detect(image)
-        found = {level.value: level_outcome(sample, detections, level) for level in Level}
-        confident = Detections(
-            {
-                level: tuple(b for b in boxes if b.score > SCORE_THRESHOLD)
-                for level, boxes in detections.boxes.items()
-            }
-        )
-        found[CANDIDATE] = candidate_outcome(sample, group(confident, target, image))
-        groups = [ALL, *sample.conditions]
-        if sample.kind == "negative":
-            groups.append(sample.kind)
-        for condition in dict.fromkeys(groups):
-            for what, outcome in found.items():
-                outcomes.setdefault(condition, {}).setdefault(what, []).append(outcome)
-    ordered = sorted(outcomes, key=lambda c: (c != ALL, c))
-    rows = {c: {w: _scores(w, o) for w, o in outcomes[c].items()} for c in ordered}
-    return Report(pictures, rows)
+    return score(run_detector(detect, samples, target))
 
 
-def average_precision(outcomes: list[Outcome], iou: float) -> float | None:
-    """Area under the precision-recall curve (made monotonic) at one overlap; None without truths.
+def score(
+    finds: Sequence[Find],
+    counting: Counting | None = None,
+    allowed_per_1000: float = 1.0,
+    resamples: int = RESAMPLES,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Report:
+    """Score what a detector found.
 
-    The matching is greedy by falling score, each truth once (as in PASCAL VOC and COCO).
+    Args:
+        finds: One for each picture.
+        counting: Which truths have to be found.
+        allowed_per_1000: False positives in 1000 pictures at the operating point.
+        resamples: Draws of the bootstrap.
+        on_progress: Called with the number of groups done, and of all.
     """
+    counting = counting or Counting()
+    outcomes = outcomes_of(finds, counting)
+    grouped = groups([f.sample for f in finds])
+    total, done = sum(len(rows) for rows in grouped.values()), 0
+    scored: dict[By, dict[str, dict[str, Scores]]] = {by: {} for by in By}
+    for by, names in grouped.items():
+        for name, indices in names.items():
+            scored[by][name] = {
+                what: score_row(what, [one[k] for k in indices], resamples)
+                for what, one in outcomes.items()
+            }
+            done += 1
+            on_progress(done, total)
+    point = at_false_positive_rate(outcomes[CANDIDATE], outcomes[CANDIDATE], allowed_per_1000)
+    return Report(len(finds), counting, scored, point)
+
+
+def outcomes_of(finds: Sequence[Find], counting: Counting) -> dict[str, list[Outcome]]:
+    """What was found of each level and of whole targets, in every picture."""
+    found = {
+        level.value: [level_outcome(f.sample, f.detections, level, counting) for f in finds]
+        for level in Level
+    }
+    found[CANDIDATE] = [candidate_outcome(f.sample, f.candidates, counting) for f in finds]
+    return found
+
+
+def threshold_of(what: str) -> float:
+    """From which score on something counts as found.
+
+    A candidate's score is a sum over its levels; it passed the threshold box by box.
+    """
+    return 0.0 if what == CANDIDATE else SCORE_THRESHOLD
+
+
+def score_row(what: str, outcomes: Sequence[Outcome], resamples: int = RESAMPLES) -> Scores:
+    """The scores of one level, or of candidates, in some pictures; at least one."""
     truths = sum(int(o.counts.sum()) for o in outcomes)
-    if not truths:
-        return None
-    scores, hits = [np.zeros(0)], [np.zeros(0, bool)]
+    hits = false = with_false = 0
     for outcome in outcomes:
-        hit, ignored = match(outcome, iou)
-        scores.append(outcome.scores[~ignored])
-        hits.append(hit[~ignored])
-    order = np.argsort(-np.concatenate(scores), kind="stable")
-    hit = np.concatenate(hits)[order]
-    true_positives = np.cumsum(hit)
-    precision = true_positives / np.arange(1, len(hit) + 1)
-    envelope = np.maximum.accumulate(precision[::-1])[::-1]
-    return float(envelope[hit].sum() / truths)
-
-
-def match(outcome: Outcome, iou: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which found boxes are true, and which hit only truths that do not count; (K,) each."""
-    n_found, n_true = outcome.overlaps.shape
-    hit, ignored = np.zeros(n_found, bool), np.zeros(n_found, bool)
-    free = np.ones(n_true, bool)
-    for k in range(n_found):
-        near = outcome.overlaps[k] >= iou
-        if (wanted := near & outcome.counts & free).any():
-            free[np.argmax(np.where(wanted, outcome.overlaps[k], -1))] = False
-            hit[k] = True
-        elif (near & ~outcome.counts).any():
-            ignored[k] = True
-    return hit, ignored
-
-
-def level_outcome(sample: Sample, detections: Detections, level: Level) -> Outcome:
-    """What was found of one level in a picture."""
-    boxes, counts = _truth(sample, level)
-    found = detections.boxes.get(level, ())
-    return Outcome(np.array([b.score for b in found]), pairwise_iou(_array(found), boxes), counts)
-
-
-def candidate_outcome(sample: Sample, candidates: tuple[Candidate, ...]) -> Outcome:
-    """What was found of whole targets: a candidate's overlap is that of its best level."""
-    truths = {level: _truth(sample, level) for level in Level}
-    n = min(len(boxes) for boxes, _ in truths.values())
-    counts = np.zeros(n, bool)
-    for _, level_counts in truths.values():
-        counts |= level_counts[:n]
-    overlaps = np.zeros((len(candidates), n), np.float32)
-    for k, candidate in enumerate(candidates):
-        for level, box in candidate.boxes.items():
-            here = pairwise_iou(_array((box,)), truths[level][0][:n])[0]
-            overlaps[k] = np.maximum(overlaps[k], here)
-    return Outcome(np.array([c.score for c in candidates]), overlaps, counts)
-
-
-def _truth(sample: Sample, level: Level) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    here = sample.classes == list(Level).index(level)
-    boxes = sample.boxes[here]
-    side = (boxes[:, 2:] - boxes[:, :2]).min(axis=1, initial=np.inf)
-    return boxes, (sample.visible[here] >= MIN_VISIBLE) & (side >= MIN_SIDE_PX)
-
-
-def _array(boxes: tuple[Box, ...]) -> NDArray[np.float32]:
-    return np.array([(b.x0, b.y0, b.x1, b.y1) for b in boxes], np.float32).reshape(-1, 4)
-
-
-def _scores(what: str, outcomes: list[Outcome]) -> Scores:
-    truths = sum(int(o.counts.sum()) for o in outcomes)
-    hits = false = 0
-    for outcome in outcomes:
-        hit, ignored = match(outcome, IOU_STEPS[0])
-        # A candidate's score is a sum over its levels; it passed the threshold box by box
-        above = outcome.scores > (0.0 if what == CANDIDATE else SCORE_THRESHOLD)
+        hit, ignored, _ = match(outcome)
+        above = outcome.scores > threshold_of(what)
         hits += int((hit & above).sum())
-        false += int((~hit & ~ignored & above).sum())
-    curve = [average_precision(outcomes, iou) for iou in IOU_STEPS]
-    known = [ap for ap in curve if ap is not None]
+        here = int((~hit & ~ignored & above).sum())
+        false += here
+        with_false += here > 0
+    ap50, ap50_95 = precision_intervals(outcomes, BOOTSTRAP_SEED, resamples)
+    share = wilson(with_false, len(outcomes))
+    assert share is not None
     return Scores(
+        len(outcomes),
         truths,
-        curve[0],
-        float(np.mean(known)) if known else None,
-        hits / truths if truths else None,
-        false / max(len(outcomes), 1),
+        ap50,
+        ap50_95,
+        wilson(hits, truths),
+        false / len(outcomes),
+        share,
     )
+
+
+def _plain_rows(rows: Mapping[str, Mapping[str, Scores]]) -> dict[str, Any]:
+    return {name: {what: _plain(s) for what, s in row.items()} for name, row in rows.items()}
+
+
+def _plain(value: Scores | OperatingPoint) -> dict[str, Any]:
+    return {
+        name: x._asdict() if isinstance(x, Interval) else x
+        for name, x in ((n, getattr(value, n)) for n in value.__dataclass_fields__)
+    }
+
+
+__all__ = [
+    "ALL",
+    "CANDIDATE",
+    "Report",
+    "Scores",
+    "evaluate_detector",
+    "outcomes_of",
+    "score",
+    "score_row",
+]

@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from detector_training.datasets.sample import Sample
-from detector_training.evaluation.scores import Outcome, average_precision, evaluate_detector, match
+from detector_training.evaluation.matching import Outcome, match
+from detector_training.evaluation.precision_recall import average_precision
+from detector_training.evaluation.scores import evaluate_detector
 from target_pose.candidate import Box, Detections
 from target_pose.target import Level, load_target
 
@@ -87,7 +89,7 @@ def test_average_precision_of_small_cases(outcomes, want):
 
 def test_a_find_that_does_not_count_is_no_false_alarm():
     """A truth that is too small to ask for may be found at no cost."""
-    hit, ignored = match(_outcome([0.9, 0.5], [[0.9], [0.0]], [False]), 0.5)
+    hit, ignored, _ = match(_outcome([0.9, 0.5], [[0.9], [0.0]], [False]), 0.5)
     assert hit.tolist() == [False, False]
     assert ignored.tolist() == [True, False]
 
@@ -140,7 +142,7 @@ def test_a_perfect_detector_gets_full_marks():
     assert report.pictures == 3
     assert set(report.rows) == {"all", "far", "lookalike", "negative"}
     for row in report.rows["all"].values():
-        assert (row.truths, row.ap50, row.ap50_95, row.recall) == (2, 1.0, 1.0, 1.0)
+        assert (row.truths, row.ap50.value, row.ap50_95.value, row.recall.value) == (2, 1, 1, 1)
         assert row.false_per_picture == 0.0
     assert report.rows["negative"]["T_good"].ap50 is None
     assert report.rows["far"]["candidate"].truths == 1
@@ -158,13 +160,13 @@ def test_boxes_beside_the_target_are_misses():
     """Shifted by 30 px: the board is still found, the small disc is not, and AP50-95 says so."""
     report = evaluate_detector(_detector(always=False, shift=30.0), SAMPLES, load_target())
     good, best = (report.rows["all"][k] for k in ("T_good", "T_best"))
-    assert good.recall == 1.0
-    assert good.ap50_95 < 0.7
-    assert best.recall == 0.0
+    assert good.recall.value == 1.0
+    assert good.ap50_95.value < 0.7
+    assert best.recall.value == 0.0
     assert best.false_per_picture == pytest.approx(2 / 3)
 
 
 def test_the_report_is_plain_json():
     """What ``--json`` prints."""
     plain = evaluate_detector(_detector(always=False), SAMPLES, load_target()).as_json()
-    assert plain["rows"]["all"]["T_best"]["recall"] == 1.0
+    assert plain["rows"]["all"]["T_best"]["recall"]["value"] == 1.0

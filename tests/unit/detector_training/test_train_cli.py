@@ -61,9 +61,9 @@ def test_evaluate_prints_json_with_levels_and_conditions(data):
     """The shipped weights on the tiny set: every level of every target is found."""
     result = _run("evaluate", DEFAULT_WEIGHTS, data, "--json", *ONE)
     assert result.exit_code == 0, result.output
-    report = json.loads(result.output)
+    report = json.loads(result.stdout)
     assert set(report["rows"]) == {"all", "far"}
-    assert report["rows"]["far"]["T_better"]["recall"] == 1.0
+    assert report["rows"]["far"]["T_better"]["recall"]["value"] == 1.0
     assert report["rows"]["all"]["candidate"]["truths"] == 4
 
 
