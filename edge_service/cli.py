@@ -20,6 +20,8 @@ from target_pose.errors import TargetError
 EXIT_NO_TARGET = 1
 EXIT_USAGE = 2
 MAX_FILE_BYTES = 64_000_000
+EXTRA_OF = {"onnx": "onnxruntime", "onnxruntime": "onnxruntime", "openvino": "openvino"}
+"""Packages that are not in the extra ``edge``, and the one that brings them."""
 
 app = typer.Typer(
     help="Finds a printed target in RGB-D pictures: for drones over Zenoh or a UDP tunnel, for "
@@ -33,7 +35,19 @@ app = typer.Typer(
 Target = Annotated[
     str | None, typer.Option(help="Name of a packaged target or path of a target TOML.")
 ]
-Weights = Annotated[Path | None, typer.Option(help="Detector weights; default: those packaged.")]
+Engine = Annotated[
+    str | None, typer.Option(help="torch (default), onnxruntime or openvino (extras).")
+]
+Weights = Annotated[
+    Path | None,
+    typer.Option(help="Detector weights, .safetensors or .onnx; default: those packaged."),
+]
+Classes = Annotated[
+    str | None, typer.Option(help="Classes of a foreign .onnx: T_good,-,T_best and so on.")
+]
+ModelCache = Annotated[
+    Path | None, typer.Option(help="Folder for converted weights; default: ~/.cache.")
+]
 Threads = Annotated[int | None, typer.Option(help="Detector threads; default: the CPU quota.")]
 
 
@@ -47,7 +61,8 @@ def main() -> None:
     except (EdgeError, TargetError, WireError) as error:
         _fail(str(error))
     except ModuleNotFoundError as error:
-        _fail(f"package {error.name} is missing; install aerial-contact[edge]")
+        extra = EXTRA_OF.get(str(error.name), "edge")
+        _fail(f"package {error.name} is missing; install aerial-contact[{extra}]")
 
 
 @app.command(
@@ -72,8 +87,15 @@ def serve(
     http: Annotated[str | None, typer.Option(help="HOST:PORT of the HTTP side.")] = None,
     name: Annotated[str | None, typer.Option(help="This worker's name.")] = None,
     target: Target = None,
+    engine: Engine = None,
     weights: Weights = None,
+    classes: Classes = None,
     threads: Threads = None,
+    model_cache: ModelCache = None,
+    self_check: Annotated[
+        str | None,
+        typer.Option(help="When no drawn target is found: refuse (default), warn or off."),
+    ] = None,
 ) -> None:
     """Serve drones until SIGTERM or Ctrl-C; both finish what is there, a second one does not."""
     settings = load_settings(
@@ -86,8 +108,12 @@ def serve(
         http=http,
         name=name,
         target=target,
+        engine=engine,
         weights=weights,
+        classes=classes,
         threads=threads,
+        model_cache=model_cache,
+        self_check=self_check,
     )
     configure(settings.log_level)
     from edge_service import process  # loads torch: --help and a wrong flag need not wait for it
@@ -109,11 +135,21 @@ def localize(
         False
     ),
     target: Target = None,
+    engine: Engine = None,
     weights: Weights = None,
+    classes: Classes = None,
     threads: Threads = None,
+    model_cache: ModelCache = None,
 ) -> None:
     """Find the target in one picture; exit code 1 when there is none."""
-    settings = load_settings(target=target, weights=weights, threads=threads)
+    settings = load_settings(
+        target=target,
+        engine=engine,
+        weights=weights,
+        classes=classes,
+        threads=threads,
+        model_cache=model_cache,
+    )
     configure(settings.log_level)
     color_file, camera_file = _read(color, "color"), _read(camera, "camera")
     depth_file = None if depth is None else _read(depth, "depth")

@@ -3,6 +3,7 @@
 ::
 
     EdgeError
+    ├── SelfCheckError a detector that does not find what it is there for
     ├── WeightsError   a weights file that cannot be read or does not fit the net
     ├── ImageError     a picture that the detector cannot take
     ├── SettingsError  an EDGE_ variable or a flag that cannot be used
@@ -19,6 +20,10 @@ class EdgeError(Exception):
 
 class WeightsError(EdgeError):
     """A weights file is missing, damaged, foreign or of the wrong shape."""
+
+
+class SelfCheckError(EdgeError):
+    """The detector as it runs here does not find the target that it is there for."""
 
 
 class ImageError(EdgeError):

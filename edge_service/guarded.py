@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,16 @@ from target_pose.candidate import Detections
 
 
 class GuardedDetector:
-    """Lets one thread at a time into a detector that is not made for more."""
+    """Lets one thread at a time into a detector that is not made for more.
 
-    def __init__(self, detector: Detector) -> None:
+    Args:
+        detector: does the work.
+        told: what is known of it beside what it says of itself.
+    """
+
+    def __init__(self, detector: Detector, told: Mapping[str, Any] | None = None) -> None:
         self._detector = detector
+        self._told = dict(told or {})
         self._lock = threading.Lock()
 
     @property
@@ -37,4 +43,4 @@ class GuardedDetector:
 
     def describe(self) -> dict[str, Any]:
         """What it is and how it runs."""
-        return self._detector.describe()
+        return {**self._detector.describe(), **self._told}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from importlib import metadata
+from typing import Any
 
 from prometheus_client import (
     CollectorRegistry,
@@ -24,6 +25,8 @@ SECONDS = (0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15,
 """Buckets around what a frame takes on a CPU and what a drone can wait."""
 BATCH_FRAMES = (1, 2, 3, 4, 6, 8, 12, 16)
 DROP_PLACES = ("intake", "worker")
+BUILD_FACTS = ("engine", "precision", "threads")
+"""Of what a detector says of itself, the labels of ``edge_build_info``."""
 OWN_REJECTS = ("repeated", "wrong_drone", "too_fast", "fault")
 """Why messages are refused beside the reasons of ``Reject``."""
 
@@ -98,10 +101,17 @@ class Metrics:
         """Show what the tunnel refuses, by reason; read whenever the metrics are."""
         self.registry.register(TunnelCollector(counters))
 
-    def describe(self, worker: str, model_hash: str) -> None:
-        """Say who this is."""
+    def describe(self, worker: str, model_hash: str, detector: Mapping[str, Any]) -> None:
+        """Say who this is, and how its detector says that it runs."""
         version = metadata.version("aerial-contact")
-        self._build.info({"version": version, "worker": worker, "model": model_hash})
+        self._build.info(
+            {
+                "version": version,
+                "worker": worker,
+                "model": model_hash,
+                **{k: str(detector[k]) for k in BUILD_FACTS if k in detector},
+            }
+        )
 
     def answered(self, output: Output, service_ns: int) -> None:
         """Count a frame's result."""

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from edge_service.detector.engine import TorchDetector
+from edge_service.detector.engines import open_engine
+from edge_service.detector.self_check import require, self_check
+from edge_service.errors import SelfCheckError
 from edge_service.guarded import GuardedDetector
 from edge_service.pipeline import Pipeline
 from edge_service.settings import EdgeSettings
@@ -25,19 +29,49 @@ from target_pose.target import load_target
 _LOOPBACK = re.compile(r"[a-z]+/(127\.[\d.]+|localhost|\[::1\]):\d+$")
 
 
-def make_pipeline(settings: EdgeSettings, clock: Clock) -> Pipeline:
+log = logging.getLogger(__name__)
+
+
+def make_pipeline(settings: EdgeSettings, clock: Clock, *, check: bool = False) -> Pipeline:
     """Load the target and the detector, and warm it up; takes a second or two.
+
+    Args:
+        settings: which target, engine and weights.
+        clock: times the stages.
+        check: let the detector find drawn targets first, as ``settings.self_check`` says.
 
     Raises:
         TargetFileError: the target cannot be read.
         WeightsError: the weights cannot be used.
+        SelfCheckError: the detector does not find the target.
     """
     target = load_target(settings.target)
-    detector = TorchDetector(
-        settings.weights, threads=settings.threads, precision=settings.precision
+    detector = open_engine(
+        settings.engine,
+        settings.weights,
+        threads=settings.threads,
+        precision=settings.precision,
+        device=settings.device,
+        classes=settings.classes,
+        cache=settings.model_cache,
     )
+    told: dict[str, Any] = {}
+    if check and settings.self_check != "off":
+        result = self_check(detector, target)
+        told = {
+            "self_check": f"found {result.found} of {result.drawn} drawn targets",
+            "detect_p50_ms": result.p50_ms,
+        }
+        log.info("self-check", extra=told)
+        try:
+            weights = settings.weights or "the packaged weights"
+            require(result, f"{weights} on {settings.engine}", target)
+        except SelfCheckError as error:
+            if settings.self_check == "refuse":
+                raise
+            log.warning(str(error))
     return Pipeline(
-        GuardedDetector(detector),
+        GuardedDetector(detector, told),
         target,
         group,
         localise,

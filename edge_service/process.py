@@ -31,7 +31,8 @@ def serve(settings: EdgeSettings) -> int:
     """Run until SIGTERM or SIGINT; the exit code.
 
     Raises:
-        AddressError, TlsFilesError, KeyFileError, WeightsError, TargetFileError: it cannot start.
+        AddressError, TlsFilesError, KeyFileError, WeightsError, TargetFileError,
+        SelfCheckError: it cannot start.
     """
     return asyncio.run(_serve(settings))
 
@@ -75,14 +76,15 @@ def _bring_up(settings: EdgeSettings, state: ServiceState) -> EdgeService:
     for line in links.lines():
         _say(line)
     try:
-        pipeline = make_pipeline(settings, clock)
+        pipeline = make_pipeline(settings, clock, check=True)
     except BaseException:
         links.transport.close()
         raise
     detector = pipeline.detector.describe()
     _say(
         f"model  {detector['name']} {pipeline.detector.model_hash[:12]}, "
-        f"{detector['precision']}, {detector['threads']} threads"
+        f"{detector['engine']} {detector['precision']}, {detector['threads']} threads"
+        + (f", {detector['detect_p50_ms']:.1f} ms" if "detect_p50_ms" in detector else "")
     )
     service = EdgeService(settings, pipeline, links.transport, state, clock)
     service.start()

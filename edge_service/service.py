@@ -62,7 +62,7 @@ class EdgeService:
             mailbox, pipeline, self._replies, times, deadline, limits, metrics, clock
         )
         self._status = StatusPublisher(self._replies, mailbox, settings.max_drones, transport)
-        metrics.describe(settings.name, model_hash)
+        metrics.describe(settings.name, model_hash, pipeline.detector.describe())
         state.pipeline = pipeline
 
     def start(self) -> None:

@@ -34,6 +34,8 @@ FLAGS = {
     "zenoh_drones": "--drones",
     "udp_listen": "--udp",
     "tunnel_keys": "--keys",
+    "model_cache": "--model-cache",
+    "self_check": "--self-check",
 }
 """Flags of the command that are not called as their settings are."""
 
@@ -105,8 +107,24 @@ class EdgeSettings(BaseSettings):
         max_length=1000,
         description="Name of a packaged target, or the path of a target's TOML file.",
     )
+    engine: Literal["torch", "onnxruntime", "openvino"] = Field(
+        "torch", description="What runs the detector; the other two are extras of the package."
+    )
     weights: Path | None = Field(
-        None, description="The detector's weights, a safetensors file. Default: those packaged."
+        None,
+        description="The detector's weights, a safetensors file, or for onnxruntime and openvino "
+        "an ONNX file, a YOLOv8 or v11 export included. Default: those packaged.",
+    )
+    classes: str | None = Field(
+        None,
+        max_length=10_000,
+        description="Classes of a foreign ONNX file in its order, separated by commas: T_good, "
+        "T_better, T_best, and - for any other. Default: as the file names them.",
+    )
+    model_cache: Path | None = Field(
+        None,
+        description="Folder where weights converted for onnxruntime and openvino are kept. "
+        "Default: ~/.cache/aerial-contact.",
     )
     threads: int | None = Field(
         None,
@@ -114,8 +132,16 @@ class EdgeSettings(BaseSettings):
         le=256,
         description="Threads of the detector. Default: what the CPU quota allows.",
     )
-    precision: Literal["auto", "fp32", "bf16"] = Field(
-        "auto", description="The detector's arithmetic; auto: the faster one on this CPU."
+    precision: Literal["auto", "fp32", "bf16", "fp16"] = Field(
+        "auto",
+        description="The detector's arithmetic; auto: the faster one on this CPU, fp16 on a GPU.",
+    )
+    device: Literal["auto", "cpu", "cuda"] = Field(
+        "auto", description="Where torch runs the detector; auto: on a GPU when there is one."
+    )
+    self_check: Literal["refuse", "warn", "off"] = Field(
+        "refuse",
+        description="What a worker does whose detector does not find a drawn target at the start.",
     )
     max_candidates: int = Field(
         3, ge=1, le=16, description="Targets of one picture that are tried, best first."

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from edge_service.detector.drawn import draw
 from edge_service.detector.nms import pairwise_iou
-from edge_service.errors import EdgeError
+from edge_service.errors import SelfCheckError
 from target_pose.candidate import Box, Detections
 from target_pose.nesting import group
 from target_pose.target import Target
@@ -22,10 +22,6 @@ LIMIT_S = 2.0
 """On a slow machine fewer runs must do."""
 MIN_OVERLAP = 0.6
 """Intersection over union of a found box with the drawn one."""
-
-
-class SelfCheckError(EdgeError):
-    """The detector as it runs here does not find the target that it is there for."""
 
 
 class Detects(Protocol):

@@ -54,7 +54,7 @@ def files(tmp_path):
 
 @pytest.fixture
 def _known_detector(monkeypatch):
-    monkeypatch.setattr(parts, "TorchDetector", lambda *_, **__: KnownDetector())
+    monkeypatch.setattr(parts, "open_engine", lambda *_, **__: KnownDetector())
 
 
 @pytest.mark.usefixtures("_known_detector")
