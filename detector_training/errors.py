@@ -6,6 +6,7 @@
     ├── BackgroundsError   a folder of background pictures that cannot be used
     ├── SceneError         a request for scenes that cannot be met
     ├── DatasetError       a data set folder that is missing or malformed
+    ├── ExportError        an export that says something else than the net
     └── EvaluationError    an evaluation asked for with numbers or files that give none
 """
 
@@ -30,3 +31,7 @@ class DatasetError(TrainingError):
 
 class EvaluationError(TrainingError):
     """An evaluation was asked for with numbers or files that give none."""
+
+
+class ExportError(TrainingError):
+    """An export cannot be made, or says something else than the net."""

@@ -18,10 +18,11 @@ scenes.register(app)
 def main() -> None:
     """Run a sub-command; what the user got wrong is one line and exit status 2."""
     # here, not above: the processes that render import this module and need no torch
-    from detector_training.commands import dataset, evaluate, train
+    from detector_training.commands import dataset, evaluate, export, train
 
     dataset.register(app)
     train.register(app)
     evaluate.register(app)
+    export.register(app)
     with one_line_errors():
         app(standalone_mode=True)
