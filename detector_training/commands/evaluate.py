@@ -32,7 +32,8 @@ from detector_training.evaluation.report import (
 from detector_training.evaluation.run import run_detector
 from detector_training.evaluation.scores import Report, score
 from detector_training.training import loop as training
-from edge_service.detector.engine import SCORE_THRESHOLD, TorchDetector
+from edge_service.detector.detector import SCORE_THRESHOLD
+from edge_service.detector.engines import ENGINES, open_engine
 from target_pose.target import Target, load_target
 
 AP_SCORE_THRESHOLD = 0.02
@@ -74,6 +75,9 @@ def evaluate(
     min_visible: Annotated[
         float, typer.Option(help="Likewise levels of which less can be seen, 0 to 1.")
     ] = MIN_VISIBLE,
+    engine: Annotated[
+        str, typer.Option(help=f"What runs the net: {', '.join(ENGINES)}; .onnx: the latter two.")
+    ] = "torch",
     workers: Annotated[int | None, typer.Option(help="CPUs to use; default: all.")] = None,
     target: Annotated[str, typer.Option(help="Target that the data shows.")] = "bullseye-400",
 ) -> None:
@@ -93,12 +97,12 @@ def evaluate(
         path = weights / training.WEIGHTS if weights.is_dir() else weights
         shape = load_target(target)
         if plot is not None:
-            _fly_by(path, data, plot, shape, as_json, workers)
+            _fly_by(path, data, plot, shape, as_json, workers, engine)
             return
         samples = load_dataset(data)
         if out is not None and out.exists() and (out.is_file() or any(out.iterdir())):
             raise EvaluationError(f"{out} holds something already; name a new folder")
-        detector = TorchDetector(path, threads=workers, score_threshold=AP_SCORE_THRESHOLD)
+        detector = open_engine(engine, path, threads=workers, score_threshold=AP_SCORE_THRESHOLD)
         with progress("pictures", len(samples)) as step:
             finds = run_detector(detector.detect, samples, shape, step)
         with progress("scores", 1) as step:
@@ -120,12 +124,18 @@ def evaluate(
 
 
 def _fly_by(
-    weights: Path, data: Path, plot: Path, target: Target, as_json: bool, workers: int | None
+    weights: Path,
+    data: Path,
+    plot: Path,
+    target: Target,
+    as_json: bool,
+    workers: int | None,
+    engine: str,
 ) -> None:
     if plot.suffix.lower() != ".png":
         raise EvaluationError(f"--fly-by {plot}: the picture's name must end in .png")
     frames = load_recording(data)
-    detector = TorchDetector(weights, threads=workers)
+    detector = open_engine(engine, weights, threads=workers)
     with progress("frames", len(frames)) as step:
         run = fly_by(detector.detect, frames, target, step)
     write_file(plot, plot_fly_by(run, data.resolve().name))
@@ -154,7 +164,7 @@ def print_report(console: Console, report: Report) -> None:
         if not rows or (by is not By.CONDITION and len(rows) < 2):
             continue
         title = f"{TITLES[by]}; recall (95 %) and false positives at score {SCORE_THRESHOLD}"
-        table = Table(title=title, box=SIMPLE, padding=(0, 1, 0, 0))
+        table = Table(title=escape(title), box=SIMPLE, padding=(0, 1, 0, 0))
         for name in ("", "what", "truths", "AP50", "AP50-95", "recall", "false/pic"):
             table.add_column(name, justify="left" if name in ("", "what") else "right")
         for name, row in rows.items():

@@ -14,6 +14,8 @@ from detector_training.evaluation.matching import HIT_IOU, Outcome
 from detector_training.evaluation.precision_recall import rank
 from detector_training.evaluation.scores import CANDIDATE, Report
 
+WIDTHS = {"T_good": 4.5, "T_better": 2.8, "T_best": 1.2}
+"""Of lines that may lie on each other."""
 COLOURS = {"T_good": "#2e9e4f", "T_better": "#1f77d0", "T_best": "#d0452f", CANDIDATE: "#202020"}
 
 

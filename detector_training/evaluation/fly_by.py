@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from detector_training.datasets.sample import MAX_IMAGE_BYTES
 from detector_training.errors import EvaluationError
-from detector_training.evaluation.figures import COLOURS, figure
+from detector_training.evaluation.figures import COLOURS, WIDTHS, figure
 from detector_training.evaluation.run import Detect
 from target_pose.candidate import Detections
 from target_pose.nesting import group
@@ -176,7 +176,14 @@ def plot_fly_by(run: FlyBy, name: str) -> bytes:
         for level, found in run.found.items():
             total = np.cumsum(found)
             label = f"{level.value} ({total[-1]})"
-            axis.step(run.t_s, total, where="post", color=COLOURS[level.value], label=label)
+            axis.step(
+                run.t_s,
+                total,
+                where="post",
+                color=COLOURS[level.value],
+                lw=WIDTHS[level.value],
+                label=label,
+            )
         axis.set(xlabel="time [s]", ylabel="sum of detections", title=f"Fly-by: {name}")
         axis.set_ylim(bottom=0)
         axis.grid(alpha=0.3)
