@@ -2,9 +2,10 @@
 
 ``plain`` is the net as trained: eager, batch norms not folded, NCHW, fp32, no packed weights. Each
 engine has a process of its own, since pools of torch, onnxruntime and OpenVINO disturb each other
-in one. The processes take turns, a block of pictures each, so that a busy moment hits all of them; the
-first pictures of a block are not counted. ``net`` is the engine's forward alone, what the ratio is
-of; ``detect`` is all that the service does with a picture: letterbox, net, boxes, suppression.
+in one. The processes take turns, a block of pictures each, so that a busy moment hits all of them;
+the first pictures of a block are not counted. ``net`` is the engine's forward alone, what the
+ratio is of; ``detect`` is all that the service does with a picture: letterbox, net, boxes and
+suppression.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from edge_service.detector.threads import available_cpus, wait_asleep
 
 PLAIN = "plain"
 SIZE = (480, 640)
@@ -68,9 +71,9 @@ def contenders(
     """About, the net's forward, and everything that is done with a picture (None for plain)."""
     rgb = picture()
     if name == PLAIN:
+        wait_asleep()  # as the service does: the ratio shall not be that of two ways to wait
         import torch
 
-        from edge_service.detector.threads import available_cpus
         from edge_service.detector.weights import DEFAULT_WEIGHTS, load_weights
 
         torch.set_num_threads(available_cpus())

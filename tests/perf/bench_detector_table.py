@@ -45,9 +45,9 @@ def report_text(result: dict[str, Any]) -> str:
         f"Made by `{result['command']}` on {result['machine']}.",
         "",
         "Shares have Wilson's 95 % interval in brackets. A target counts when its board is at "
-        f"least {counting['min_px']:g} px wide and at least {counting['min_visible']:.0%} of a level can "
-        "be seen; it is found when a candidate (after the nesting check) overlaps with one of its "
-        "levels by IoU 0.5 or more.",
+        f"least {counting['min_px']:g} px wide and at least {counting['min_visible']:.0%} of a "
+        "level can be seen; it is found when a candidate (after the nesting check) overlaps with "
+        "one of its levels by IoU 0.5 or more.",
     ]
     if detector := result.get("detector"):
         lines += [
