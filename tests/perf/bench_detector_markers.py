@@ -33,8 +33,15 @@ def april_tag() -> FindMarker:
     """
     from pupil_apriltags import Detector
 
+    class Kept(Detector):  # type: ignore[misc] # ships no types
+        def __del__(self) -> None:
+            """Leave it to the end of the process: the library frees what it still needs.
+
+            https://github.com/pupil-labs/apriltags/pull/65; what follows may abort otherwise.
+            """
+
     # 2, the default, halves the reach for speed; the comparison is about what can be found
-    detector = Detector(families="tag36h11", quad_decimate=1.0)
+    detector = Kept(families="tag36h11", quad_decimate=1.0)
 
     def find(rgb: NDArray[np.uint8]) -> Centres:
         gray = np.ascontiguousarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
