@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from importlib.util import find_spec
-from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from detector_training.errors import ExportError
-from edge_service.detector.layouts import Outputs
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -48,21 +43,3 @@ def installed_runtime() -> str:
     raise ExportError(
         "an export is checked by a runtime, and none is here: install aerial-contact[onnxruntime]"
     )
-
-
-def raw_outputs(
-    runtime: str, path: Path, threads: int, pictures: Sequence[NDArray[np.uint8]]
-) -> list[Outputs]:
-    """What an ONNX file answers to inputs (H, W, 3) in fp32, one by one; for ``apart``."""
-    from edge_service.detector.onnx_file import read_onnx
-
-    file = read_onnx(path)
-    if runtime == "openvino":
-        from edge_service.detector.openvino_engine import OpenVinoEngine
-
-        infer = OpenVinoEngine(file, threads, "fp32").infer
-    else:
-        from edge_service.detector.onnxruntime_engine import OnnxRuntimeEngine
-
-        infer = OnnxRuntimeEngine(file, threads, "auto").infer
-    return [tuple(np.array(o) for o in infer(picture[None])) for picture in pictures]

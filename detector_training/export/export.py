@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from detector_training.datasets.sample import Sample
 from detector_training.errors import ExportError
 from detector_training.export.accuracy import Accuracy, measure, worst_loss
-from detector_training.export.apart import apart, installed_runtime, raw_outputs
-from detector_training.export.parity import MAX_BOX_PX, MAX_SCORE, Parity, compare
+from detector_training.export.apart import apart, installed_runtime
 from detector_training.export.quantise import MAX_PICTURES, quantise
 from edge_service.detector.drawn import draw
+from edge_service.detector.engines import raw_outputs
 from edge_service.detector.files import sha256
 from edge_service.detector.letterbox import letterbox
-from edge_service.detector.onnx_export import OPSET, onnx_bytes, write_whole
-from edge_service.detector.torch_engine import as_images
+from edge_service.detector.onnx_export import OPSET, net_outputs, onnx_bytes, write_whole
+from edge_service.detector.parity import Parity, compare, require_parity
 from edge_service.detector.weights import load_weights
 from target_pose.target import Target
 
@@ -85,8 +85,9 @@ def export(
         threads: of each of the two processes.
 
     Raises:
-        WeightsError: the weights cannot be used, or the file not be written.
-        ExportError: the graph says something else than the net, or int8 costs too much.
+        WeightsError: the weights cannot be used, the graph says something else than the net, or the
+            file cannot be written.
+        ExportError: no runtime is installed, or int8 costs too much.
     """
     runtime = installed_runtime()
     net, info = load_weights(weights)
@@ -94,22 +95,12 @@ def export(
     inputs = [letterbox(d.color_rgb)[0] for d in draw(target)]
     inputs += [letterbox(s.read())[0] for s in _spread(pictures, CHECKED_PICTURES)]
     torch.set_num_threads(threads)
-    fused = net.fused()
-    want = []
-    with torch.inference_mode():
-        for picture in inputs:
-            logits, distances = fused(as_images(picture[None]).float() / 255)
-            want.append((logits.numpy(), distances.numpy()))
+    want = net_outputs(net, inputs)
     with tempfile.TemporaryDirectory() as folder:
         plain, small = Path(folder) / "fp32.onnx", Path(folder) / "int8.onnx"
         write_whole(plain, data)
         parity = compare(want, apart(raw_outputs, runtime, plain, threads, inputs))
-        if not parity.holds:
-            raise ExportError(
-                f"{weights}: the export is {parity.box_px:.2g} px and {parity.score:.2g} of score "
-                f"off the net on {parity.pictures} pictures; at most {MAX_BOX_PX:g} px and "
-                f"{MAX_SCORE:g} pass. Nothing was written"
-            )
+        require_parity(parity, str(weights))
         before = after = None
         if int8 is not None:
             data = apart(quantise, plain, _inputs(int8.calibrate, MAX_PICTURES))

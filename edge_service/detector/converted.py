@@ -23,18 +23,19 @@ def default_cache() -> Path:
     return Path.home() / ".cache" / "aerial-contact"
 
 
-def converted(weights: Path, data: bytes, cache: Path) -> Path:
+def converted(weights: Path, data: bytes, cache: Path, engine: str) -> Path:
     """The ONNX file of some weights, made now unless it has been made before.
 
     Args:
         weights: the safetensors file.
         data: its bytes.
         cache: folder for such files; made when missing. It must not be writable by strangers.
+        engine: that will run it; the conversion is kept only if it answers there as the net does.
 
     Raises:
         WeightsError: the weights cannot be used, or the folder cannot be written.
     """
-    out = cache / f"{sha256(data)}-{EXPORT_VERSION}.onnx"
+    out = cache / f"{sha256(data)}-{EXPORT_VERSION}-{engine}.onnx"
     if out.is_file():
         return out
     try:
@@ -45,6 +46,7 @@ def converted(weights: Path, data: bytes, cache: Path) -> Path:
             "--model-cache (EDGE_MODEL_CACHE), or export an .onnx file beforehand"
         ) from None
     command = [sys.executable, "-m", "edge_service.detector.onnx_export", str(weights), str(out)]
+    command += ["--engine", engine]
     try:
         run = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     except subprocess.TimeoutExpired:

@@ -6,11 +6,13 @@ by a process of its own (``converted``), or take an ONNX file, ours or a foreign
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_service.detector.converted import converted, default_cache
 from edge_service.detector.detector import (
@@ -21,10 +23,12 @@ from edge_service.detector.detector import (
     check_threshold,
 )
 from edge_service.detector.files import DEFAULT_WEIGHTS, Kind, read_model_file, sha256
+from edge_service.detector.layouts import Outputs
 from edge_service.detector.threads import available_cpus, wait_asleep
 from edge_service.errors import EdgeError, WeightsError
 
 if TYPE_CHECKING:
+    from edge_service.detector.onnx_file import OnnxFile
     from edge_service.detector.onnxruntime_engine import OnnxRuntimeEngine
     from edge_service.detector.openvino_engine import OpenVinoEngine
 
@@ -99,28 +103,49 @@ def _on_onnx(
     from edge_service.detector.onnx_model import model_of
 
     kind, data = read_model_file(path)
-    onnx_path = converted(path, data, cache or default_cache()) if kind is not Kind.ONNX else path
+    onnx_path = (
+        converted(path, data, cache or default_cache(), name) if kind is not Kind.ONNX else path
+    )
     file = read_onnx(onnx_path)
     threads = threads or available_cpus()
-    engine: OnnxRuntimeEngine | OpenVinoEngine
-    # each import loads a runtime: one of them alone, and only where it is used
-    if name == "openvino":
-        from edge_service.detector.openvino_engine import BACKEND, OpenVinoEngine
-
-        engine = OpenVinoEngine(file, threads, precision)
-    else:
-        from edge_service.detector.onnxruntime_engine import BACKEND, OnnxRuntimeEngine
-
-        engine = OnnxRuntimeEngine(file, threads, precision)
+    engine, backend = _runtime(name, file, threads, precision)
     blank = np.zeros((1, *(file.size or WARM_UP_SIZE), 3), np.uint8)
     model = model_of(file, engine.infer(blank), classes)
     if onnx_path != path:  # known by what was asked for, whatever it was converted to
         model = replace(model, name=path.stem, sha256=sha256(data))
     running = {
         "engine": name,
-        "backend": BACKEND,
+        "backend": backend,
         "device": "cpu",
         "precision": engine.precision,
         "threads": threads,
     }
     return EngineDetector(engine, model, running, score_threshold)
+
+
+def _runtime(
+    name: str, file: OnnxFile, threads: int, precision: str
+) -> tuple[OnnxRuntimeEngine | OpenVinoEngine, str]:
+    """The engine of this name and what it calls itself; each import loads a runtime, so only one."""
+    if name == "openvino":
+        from edge_service.detector import openvino_engine
+
+        return openvino_engine.OpenVinoEngine(file, threads, precision), openvino_engine.BACKEND
+    from edge_service.detector import onnxruntime_engine
+
+    backend = onnxruntime_engine.BACKEND
+    return onnxruntime_engine.OnnxRuntimeEngine(file, threads, precision), backend
+
+
+def raw_outputs(
+    name: str, path: Path, threads: int, pictures: Sequence[NDArray[np.uint8]]
+) -> list[Outputs]:
+    """What a runtime answers with an fp32 ONNX file to inputs (H, W, 3), one by one.
+
+    Raises:
+        WeightsError: the file cannot be used.
+    """
+    from edge_service.detector.onnx_file import read_onnx
+
+    engine, _ = _runtime(name, read_onnx(path), threads, "fp32")
+    return [tuple(np.array(o) for o in engine.infer(picture[None])) for picture in pictures]

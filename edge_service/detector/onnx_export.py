@@ -13,20 +13,30 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import tempfile
 import warnings
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import onnx
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.jit._trace import TracerWarning
 
+from edge_service.detector.drawn import draw
+from edge_service.detector.engines import ENGINES, raw_outputs
 from edge_service.detector.files import FORMAT
+from edge_service.detector.layouts import Outputs
 from edge_service.detector.net import STRIDES, TargetNet
 from edge_service.detector.onnx_model import EXPORT_VERSION, OUTPUTS
+from edge_service.detector.parity import compare, require_parity
+from edge_service.detector.torch_engine import as_images
 from edge_service.detector.weights import WeightsInfo, load_weights
 from edge_service.errors import EdgeError, WeightsError
+from target_pose.target import load_target
 
 OPSET = 17
 MIN_OPSET, MAX_OPSET = 13, 20
@@ -112,6 +122,27 @@ def _sign(model: onnx.ModelProto, info: WeightsInfo) -> None:
         model.metadata_props.add(key=key, value=value)
 
 
+def net_outputs(net: TargetNet, pictures: Sequence[NDArray[np.uint8]]) -> list[Outputs]:
+    """What the net itself answers in fp32 to inputs (H, W, 3), one by one."""
+    fused = net.fused()
+    answers: list[Outputs] = []
+    with torch.inference_mode():
+        for picture in pictures:
+            logits, distances = fused(as_images(picture[None]).float() / 255)
+            answers.append((logits.numpy(), distances.numpy()))
+    return answers
+
+
+def _check(net: TargetNet, data: bytes, engine: str, what: str) -> None:
+    """Two pools in one process are slow and not wrong, and this process ends soon."""
+    pictures = [drawn.color_rgb for drawn in draw(load_target())]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "export.onnx"
+        write_whole(path, data)
+        parity = compare(net_outputs(net, pictures), raw_outputs(engine, path, 1, pictures))
+    require_parity(parity, f"weights {what} on {engine}")
+
+
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file so that a reader sees all of it or none.
 
@@ -132,11 +163,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m edge_service.detector.onnx_export")
     parser.add_argument("weights", type=Path, help="a .safetensors file of ours")
     parser.add_argument("out", type=Path, help="the .onnx file to write")
+    parser.add_argument("--engine", choices=ENGINES[1:], help="check that it answers as the net")
     given = parser.parse_args(arguments)
     try:
         torch.set_num_threads(1)
         net, info = load_weights(given.weights)
-        write_whole(given.out, onnx_bytes(net, info))
+        data = onnx_bytes(net, info)
+        if given.engine:
+            _check(net, data, given.engine, str(given.weights))
+        write_whole(given.out, data)
     except EdgeError as error:
         print(error, file=sys.stderr)
         return 2

@@ -19,12 +19,13 @@ from detector_training.datasets.sample import CLASSES, Sample
 from detector_training.errors import ExportError
 from detector_training.export.accuracy import Accuracy, worst_loss
 from detector_training.export.export import Int8, export
-from detector_training.export.parity import compare
 from detector_training.export.quantise import last_convolutions
 from edge_service.detector.drawn import draw
 from edge_service.detector.net import NetConfig, TargetNet
 from edge_service.detector.onnx_file import read_onnx
+from edge_service.detector.parity import compare, require_parity
 from edge_service.detector.weights import save_weights
+from edge_service.errors import WeightsError
 from target_pose.target import Level, load_target
 
 TARGET = load_target()
@@ -84,7 +85,9 @@ def test_parity_is_the_largest_difference():
     assert not compare([want], [answers(0.502, 10.0)]).holds
     assert compare([answers(0.01, 10.0)], [answers(0.01, 99.0)]).holds  # nobody is told of it
     assert not compare([want], [answers(0.5, np.nan)]).holds
-    with pytest.raises(ExportError, match="shapes"):
+    with pytest.raises(WeightsError, match="1.1 px.*Nothing was written"):
+        require_parity(compare([want], [answers(0.5, 11.1)]), "it")
+    with pytest.raises(WeightsError, match="shapes"):
         compare([want], [want[:1]])
 
 
