@@ -45,6 +45,18 @@ class Ranking:
         """Precision (K,) made monotonic: the best at this recall or a higher one."""
         return np.asarray(np.maximum.accumulate(self.precision[::-1])[::-1])
 
+    def of(self, pictures: Sequence[int]) -> Ranking:
+        """The same of some pictures."""
+        place = np.full(len(self.truths), -1, np.intp)
+        place[list(pictures)] = np.arange(len(pictures))
+        here = place[self.pictures] >= 0
+        return Ranking(
+            self.scores[here],
+            self.hits[here],
+            place[self.pictures[here]],
+            self.truths[list(pictures)],
+        )
+
 
 def rank(outcomes: Sequence[Outcome], iou: float) -> Ranking:
     """Put what was found in all pictures in one order."""
@@ -100,18 +112,27 @@ def resampled_precision(ranking: Ranking, draws: NDArray[np.int64]) -> NDArray[n
     return result
 
 
+def rank_at_all(outcomes: Sequence[Outcome]) -> tuple[Ranking, ...]:
+    """One ranking for each of ``IOU_STEPS``; the matching is done here, once for all groups."""
+    return tuple(rank(outcomes, iou) for iou in IOU_STEPS)
+
+
 def precision_intervals(
-    outcomes: Sequence[Outcome], seed: int, resamples: int = RESAMPLES
+    rankings: Sequence[Ranking], seed: int, resamples: int = RESAMPLES
 ) -> tuple[Interval | None, Interval | None]:
-    """AP50 and AP50-95, each with the bootstrap's interval; None where nothing is true."""
-    if not any(o.counts.any() for o in outcomes):
+    """AP50 and AP50-95, each with the bootstrap's interval; None where nothing is true.
+
+    Args:
+        rankings: One for each of ``IOU_STEPS``, of the same pictures.
+        seed: Of the draws, which are the same at all overlaps.
+        resamples: Number of draws.
+    """
+    truths = rankings[0].truths
+    if not truths.any():
         return None, None
-    draws = draw_pictures(len(outcomes), seed, resamples)
-    values, spreads = [], []
-    for iou in IOU_STEPS:
-        ranking = rank(outcomes, iou)
-        values.append(float(ranking.envelope()[ranking.hits].sum() / ranking.truths.sum()))
-        spreads.append(resampled_precision(ranking, draws))
+    draws = draw_pictures(len(truths), seed, resamples)
+    values = [float(r.envelope()[r.hits].sum() / truths.sum()) for r in rankings]
+    spreads = [resampled_precision(r, draws) for r in rankings]
     return (
         _interval(values[0], spreads[0]),
         _interval(float(np.mean(values)), np.mean(spreads, axis=0)),

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from detector_training.datasets.sample import Sample
 from detector_training.evaluation.groups import ALL, By, groups
 from detector_training.evaluation.intervals import Interval, wilson
@@ -17,10 +19,14 @@ from detector_training.evaluation.matching import (
     Outcome,
     candidate_outcome,
     level_outcome,
-    match,
 )
 from detector_training.evaluation.operating_point import OperatingPoint, at_false_positive_rate
-from detector_training.evaluation.precision_recall import RESAMPLES, precision_intervals
+from detector_training.evaluation.precision_recall import (
+    RESAMPLES,
+    Ranking,
+    precision_intervals,
+    rank_at_all,
+)
 from detector_training.evaluation.run import Detect, Find, run_detector
 from edge_service.detector.detector import SCORE_THRESHOLD
 from target_pose.target import Level, Target
@@ -104,14 +110,15 @@ def score(
     """
     counting = counting or Counting()
     outcomes = outcomes_of(finds, counting)
+    rankings = {what: rank_at_all(one) for what, one in outcomes.items()}
     grouped = groups([f.sample for f in finds])
     total, done = sum(len(rows) for rows in grouped.values()), 0
     scored: dict[By, dict[str, dict[str, Scores]]] = {by: {} for by in By}
     for by, names in grouped.items():
         for name, indices in names.items():
             scored[by][name] = {
-                what: score_row(what, [one[k] for k in indices], resamples)
-                for what, one in outcomes.items()
+                what: score_row(what, [r.of(indices) for r in ranked], resamples)
+                for what, ranked in rankings.items()
             }
             done += 1
             on_progress(done, total)
@@ -137,27 +144,28 @@ def threshold_of(what: str) -> float:
     return 0.0 if what == CANDIDATE else SCORE_THRESHOLD
 
 
-def score_row(what: str, outcomes: Sequence[Outcome], resamples: int = RESAMPLES) -> Scores:
-    """The scores of one level, or of candidates, in some pictures; at least one."""
-    truths = sum(int(o.counts.sum()) for o in outcomes)
-    hits = false = with_false = 0
-    for outcome in outcomes:
-        hit, ignored, _ = match(outcome)
-        above = outcome.scores > threshold_of(what)
-        hits += int((hit & above).sum())
-        here = int((~hit & ~ignored & above).sum())
-        false += here
-        with_false += here > 0
-    ap50, ap50_95 = precision_intervals(outcomes, BOOTSTRAP_SEED, resamples)
-    share = wilson(with_false, len(outcomes))
+def score_row(what: str, rankings: Sequence[Ranking], resamples: int = RESAMPLES) -> Scores:
+    """The scores of one level, or of candidates, in some pictures; at least one.
+
+    Args:
+        what: A level or ``CANDIDATE``.
+        rankings: One for each of ``IOU_STEPS``.
+        resamples: Draws of the bootstrap.
+    """
+    first = rankings[0]
+    pictures, truths = len(first.truths), int(first.truths.sum())
+    above = first.scores > threshold_of(what)
+    false = ~first.hits & above
+    ap50, ap50_95 = precision_intervals(rankings, BOOTSTRAP_SEED, resamples)
+    share = wilson(len(np.unique(first.pictures[false])), pictures)
     assert share is not None
     return Scores(
-        len(outcomes),
+        pictures,
         truths,
         ap50,
         ap50_95,
-        wilson(hits, truths),
-        false / len(outcomes),
+        wilson(int((first.hits & above).sum()), truths),
+        int(false.sum()) / pictures,
         share,
     )
 

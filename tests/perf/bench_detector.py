@@ -216,7 +216,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     parts = options.only or list(PARTS)
     counting = Counting(options.min_px, options.min_visible)
     result: dict[str, Any] = {
-        "command": shlex.join(["scripts/bench", "detector", *options.arguments]),
+        "command": shown_command(options.arguments),
         "machine": machine(),
         "seed": options.seed,
         "generator": generator_version(),
@@ -241,6 +241,12 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
             if "markers" in parts:
                 result["markers"] = markers_part(pictures, counting)
     return result
+
+
+def shown_command(arguments: list[str]) -> str:
+    """How it was started; of whole paths the last part alone, the rest is this machine's."""
+    shown = [Path(a).name if a.startswith("/") and len(a) > 1 else a for a in arguments]
+    return shlex.join(["scripts/bench", "detector", *shown])
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:

@@ -17,6 +17,7 @@ from detector_training.evaluation.precision_recall import (
     draw_pictures,
     precision_intervals,
     rank,
+    rank_at_all,
     resampled_precision,
 )
 
@@ -51,7 +52,7 @@ def test_no_trials_have_no_share_and_too_many_hits_are_refused():
         wilson(3, 2)
 
 
-@given(events=st.integers(0, 2000), pictures=st.integers(1, 10_000))
+@given(events=st.integers(0, 300), pictures=st.integers(1, 10_000))
 def test_upper_bound_is_garwoods(events, pictures):
     """Half a quantile of chi squared, by scipy."""
     want = stats.chi2.ppf(0.95, 2 * (events + 1)) / 2 / pictures
@@ -98,14 +99,26 @@ def test_a_draw_of_the_bootstrap_is_the_set_with_its_pictures_repeated(seed):
         assert np.isnan(got) if want is None else got == pytest.approx(want)
 
 
+@given(seed=SEEDS)
+@settings(max_examples=40, deadline=None)
+def test_some_pictures_of_a_ranking_are_ranked_as_by_themselves(seed):
+    """Scores, hits, pictures and truths, in any order of the pictures."""
+    outcomes = _outcomes(seed)
+    chosen = np.random.default_rng(seed).permutation(len(outcomes))[:3].tolist()
+    got = rank(outcomes, 0.5).of(chosen)
+    want = rank([outcomes[k] for k in chosen], 0.5)
+    for name in ("scores", "hits", "pictures", "truths"):
+        assert (getattr(got, name) == getattr(want, name)).all()
+
+
 def test_the_bootstrap_is_seeded_and_holds_its_value():
     """Twice the same; more pictures give a shorter interval."""
-    few, many = _outcomes(1, 20), _outcomes(1, 400)
+    few, many = (rank_at_all(_outcomes(1, count)) for count in (20, 400))
     assert precision_intervals(few, 3) == precision_intervals(few, 3)
-    for outcomes in (few, many):
-        for x in precision_intervals(outcomes, 3):
+    for rankings in (few, many):
+        for x in precision_intervals(rankings, 3):
             assert 0 <= x.low <= x.value <= x.high <= 1
-    lengths = [x.high - x.low for x in (precision_intervals(o, 3)[0] for o in (few, many))]
+    lengths = [x.high - x.low for x in (precision_intervals(r, 3)[0] for r in (few, many))]
     assert lengths[1] < lengths[0]
 
 
