@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
@@ -99,19 +100,23 @@ def _on_onnx(
 ) -> EngineDetector:
     check_threads(threads)
     check_threshold(score_threshold)
+    if find_spec(name) is None:  # told before a conversion is tried
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
     from edge_service.detector.onnx_file import read_onnx
     from edge_service.detector.onnx_model import model_of
 
     kind, data = read_model_file(path)
-    onnx_path = (
-        converted(path, data, cache or default_cache(), name) if kind is not Kind.ONNX else path
-    )
+    onnx_path = path
+    if kind is Kind.SAFETENSORS:
+        onnx_path = converted(path, data, cache or default_cache(), name)
     file = read_onnx(onnx_path)
     threads = threads or available_cpus()
     engine, backend = _runtime(name, file, threads, precision)
     blank = np.zeros((1, *(file.size or WARM_UP_SIZE), 3), np.uint8)
     model = model_of(file, engine.infer(blank), classes)
     if onnx_path != path:  # known by what was asked for, whatever it was converted to
+        if file.metadata.get("weights_sha256") != sha256(data):
+            raise WeightsError(f"model cache {onnx_path}: of other weights; remove the file")
         model = replace(model, name=path.stem, sha256=sha256(data))
     running = {
         "engine": name,
@@ -126,7 +131,7 @@ def _on_onnx(
 def _runtime(
     name: str, file: OnnxFile, threads: int, precision: str
 ) -> tuple[OnnxRuntimeEngine | OpenVinoEngine, str]:
-    """The engine of this name and what it calls itself; each import loads a runtime, so only one."""
+    """The engine of this name, and what it calls itself; an import loads a runtime: only one."""
     if name == "openvino":
         from edge_service.detector import openvino_engine
 

@@ -13,8 +13,9 @@ import onnx
 import pytest
 import torch
 
+from edge_service.detector import engines
 from edge_service.detector.engines import open_engine
-from edge_service.detector.files import MAX_MODEL_BYTES
+from edge_service.detector.files import DEFAULT_WEIGHTS, MAX_MODEL_BYTES
 from edge_service.detector.net import NetConfig, TargetNet
 from edge_service.detector.onnx_export import MAX_OPSET, onnx_bytes
 from edge_service.detector.onnx_file import read_onnx
@@ -106,6 +107,9 @@ def test_a_conversion_is_kept(weights, pictures, tmp_path):
     before = kept.stat().st_mtime_ns
     assert detect("onnxruntime", weights, pictures[:1], cache=str(cache)) == first
     assert kept.stat().st_mtime_ns == before
+    kept.write_bytes(onnx_bytes(*load_weights(DEFAULT_WEIGHTS)))
+    got = detect("onnxruntime", weights, cache=str(cache))
+    assert "of other weights; remove the file" in got["error"]
 
 
 def test_weights_that_cannot_be_converted_say_why(tmp_path):
@@ -249,3 +253,11 @@ def test_a_precision_that_an_engine_lacks_is_told(weights, tmp_path):
     """Asked for bf16, onnxruntime does not quietly compute in another."""
     got = detect("onnxruntime", weights, precision="bf16", cache=str(tmp_path))
     assert "onnxruntime computes" in got["error"]
+
+
+def test_an_engine_that_is_not_installed_says_which(weights, monkeypatch):
+    """Before anything is converted; the command names the extra that brings it."""
+    monkeypatch.setattr(engines, "find_spec", lambda _: None)
+    with pytest.raises(ModuleNotFoundError) as raised:
+        open_engine("openvino", weights)
+    assert raised.value.name == "openvino"
