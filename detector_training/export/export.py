@@ -92,8 +92,10 @@ def export(
     runtime = installed_runtime()
     net, info = load_weights(weights)
     data = onnx_bytes(net, info, opset=opset, dynamic_batch=dynamic_batch)
-    inputs = [letterbox(d.color_rgb)[0] for d in draw(target)]
-    inputs += [letterbox(s.read())[0] for s in _spread(pictures, CHECKED_PICTURES)]
+    inputs = [letterbox(d.color_rgb)[0][None] for d in draw(target)]
+    if dynamic_batch:
+        inputs.append(np.concatenate(inputs))
+    inputs += [picture[None] for picture in _inputs(pictures, CHECKED_PICTURES)]
     torch.set_num_threads(threads)
     want = net_outputs(net, inputs)
     with tempfile.TemporaryDirectory() as folder:

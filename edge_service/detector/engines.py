@@ -145,7 +145,7 @@ def _runtime(
 def raw_outputs(
     name: str, path: Path, threads: int, pictures: Sequence[NDArray[np.uint8]]
 ) -> list[Outputs]:
-    """What a runtime answers with an fp32 ONNX file to inputs (H, W, 3), one by one.
+    """What a runtime answers with an fp32 ONNX file to inputs (B, H, W, 3), one after the other.
 
     Raises:
         WeightsError: the file cannot be used.
@@ -153,4 +153,8 @@ def raw_outputs(
     from edge_service.detector.onnx_file import read_onnx
 
     engine, _ = _runtime(name, read_onnx(path), threads, "fp32")
-    return [tuple(np.array(o) for o in engine.infer(picture[None])) for picture in pictures]
+    try:
+        return [tuple(np.array(o) for o in engine.infer(one)) for one in pictures]
+    except Exception as error:  # the runtimes' errors have no base of their own
+        reason = " ".join(str(error).split())[-200:]
+        raise WeightsError(f"{name} cannot run the export: {reason}") from None

@@ -123,19 +123,19 @@ def _sign(model: onnx.ModelProto, info: WeightsInfo) -> None:
 
 
 def net_outputs(net: TargetNet, pictures: Sequence[NDArray[np.uint8]]) -> list[Outputs]:
-    """What the net itself answers in fp32 to inputs (H, W, 3), one by one."""
+    """What the net itself answers in fp32 to inputs (B, H, W, 3), one after the other."""
     fused = net.fused()
     answers: list[Outputs] = []
     with torch.inference_mode():
         for picture in pictures:
-            logits, distances = fused(as_images(picture[None]).float() / 255)
+            logits, distances = fused(as_images(picture).float() / 255)
             answers.append((logits.numpy(), distances.numpy()))
     return answers
 
 
 def _check(net: TargetNet, data: bytes, engine: str, what: str) -> None:
     """Two pools in one process are slow and not wrong, and this process ends soon."""
-    pictures = [drawn.color_rgb for drawn in draw(load_target())]
+    pictures = [drawn.color_rgb[None] for drawn in draw(load_target())]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "export.onnx"
         write_whole(path, data)

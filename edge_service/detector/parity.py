@@ -31,7 +31,7 @@ class Parity:
 
 
 def compare(want: Sequence[Outputs], got: Sequence[Outputs]) -> Parity:
-    """Logits (1, N, C) and distances (1, N, C, 4) of the same pictures, by two engines.
+    """Logits (B, N, C) and distances (B, N, C, 4) of the same pictures, by two engines.
 
     Raises:
         WeightsError: their shapes differ.
@@ -46,7 +46,7 @@ def compare(want: Sequence[Outputs], got: Sequence[Outputs]) -> Parity:
         score = float(np.maximum(score, np.max(np.abs(a - b), initial=0.0)))
         far = np.abs(ours[1] - theirs[1])[counts]
         box_px = float(np.maximum(box_px, np.max(far, initial=0.0)))
-    return Parity(len(want), box_px, score)
+    return Parity(sum(len(outputs[0]) for outputs in want), box_px, score)
 
 
 def require_parity(parity: Parity, what: str) -> None:

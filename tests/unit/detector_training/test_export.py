@@ -13,18 +13,22 @@ import pytest
 import torch
 import typer
 from onnx import TensorProto, helper
+from torch import nn
 
 from detector_training.commands import export as export_file
 from detector_training.datasets.sample import CLASSES, Sample
 from detector_training.errors import ExportError
 from detector_training.export.accuracy import Accuracy, worst_loss
+from detector_training.export.apart import apart
 from detector_training.export.export import Int8, export
 from detector_training.export.quantise import last_convolutions
 from edge_service.detector.drawn import draw
-from edge_service.detector.net import NetConfig, TargetNet
+from edge_service.detector.engines import raw_outputs
+from edge_service.detector.net import NetConfig, Prediction, TargetNet
+from edge_service.detector.onnx_export import net_outputs, onnx_bytes
 from edge_service.detector.onnx_file import read_onnx
 from edge_service.detector.parity import compare, require_parity
-from edge_service.detector.weights import save_weights
+from edge_service.detector.weights import load_weights, save_weights
 from edge_service.errors import WeightsError
 from target_pose.target import Level, load_target
 
@@ -126,6 +130,37 @@ def test_an_int8_export_is_small_checked_and_read(weights, samples, tmp_path):
     kinds = {n.op_type for n in onnx.load(out).graph.node}
     assert "QuantizeLinear" in kinds
     json.dumps(done.as_json())
+
+
+class Flat(nn.Module):
+    """A net of one convolution for each answer, that takes any number of pictures."""
+
+    def __init__(self, config):
+        super().__init__()
+        self.config = config
+        self.outs = nn.ModuleList(nn.Conv2d(3, 3 * k, 8, 8) for k in (1, 4))
+
+    def fused(self):
+        return self
+
+    def forward(self, x):
+        logits, far = (out(x).flatten(2).transpose(1, 2) for out in self.outs)
+        return Prediction(logits, far.unflatten(2, (3, 4)))
+
+
+@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
+def test_a_batch_of_any_size_is_asked_for_by_name(weights, runtime, tmp_path):
+    """The graph of a net that allows it answers to three pictures as the net does."""
+    pytest.importorskip(runtime)
+    torch.manual_seed(0)
+    net, info = Flat(NetConfig(CLASSES, 4)), load_weights(weights)[1]
+    inputs = [np.random.default_rng(0).integers(0, 255, (b, 64, 96, 3), np.uint8) for b in (1, 3)]
+    path = tmp_path / "any.onnx"
+    path.write_bytes(onnx_bytes(net, info, dynamic_batch=True))
+    want = net_outputs(net, inputs)
+    parity = compare(want, apart(raw_outputs, runtime, path, 1, inputs))
+    assert parity.pictures == 4
+    assert parity.holds
 
 
 def test_what_int8_may_not_cost_writes_nothing(weights, samples, tmp_path):

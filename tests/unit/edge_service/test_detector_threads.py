@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from edge_service.detector.threads import available_cpus, cpu_quota
+from edge_service.detector.threads import available_cpus, cpu_quota, wait_asleep
 
 
 @pytest.mark.parametrize(
@@ -43,3 +43,13 @@ def test_affinity_bounds_a_generous_quota(tmp_path):
     """A quota over what we may run on adds no threads."""
     (tmp_path / "cpu.max").write_text("99900000 100000")
     assert available_cpus(tmp_path) == len(os.sched_getaffinity(0))
+
+
+def test_threads_sleep_unless_the_user_says_otherwise(monkeypatch):
+    """OpenMP reads it once, when torch is loaded."""
+    monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    wait_asleep()
+    assert os.environ["OMP_WAIT_POLICY"] == "PASSIVE"
+    monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
+    wait_asleep()
+    assert os.environ["OMP_WAIT_POLICY"] == "ACTIVE"
