@@ -65,6 +65,8 @@ def match(
     hit, ignored = np.zeros(n_found, bool), np.zeros(n_found, bool)
     taken = np.full(n_found, -1, np.intp)
     free = np.ones(n_true, bool)
+    if not (outcome.overlaps >= iou).any():  # most pictures at the high overlaps
+        return hit, ignored, taken
     for k in range(n_found):
         near = outcome.overlaps[k] >= iou
         if (wanted := near & outcome.counts & free).any():
