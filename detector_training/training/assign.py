@@ -79,7 +79,12 @@ def assign(
         strides: (N,) [px].
     """
     n, c = scores.shape
-    target = Assignment(torch.zeros(n, c), torch.zeros(n, c, 4), torch.ones(n, c, dtype=torch.bool))
+    where = scores.device
+    target = Assignment(
+        torch.zeros(n, c, device=where),
+        torch.zeros(n, c, 4, device=where),
+        torch.ones(n, c, dtype=torch.bool, device=where),
+    )
     if not len(truth.boxes):
         return target
     allowed = candidates(truth.boxes, centers, strides)
@@ -100,7 +105,7 @@ def assign(
     best = ranked.topk(min(TOP_K, n), dim=1)
     positive = torch.zeros_like(allowed).scatter_(1, best.indices, best.values > 0)
     for k in range(len(true_boxes)):
-        rivals = (classes == classes[k]) & (torch.arange(len(classes)) != k)
+        rivals = (classes == classes[k]) & (torch.arange(len(classes), device=where) != k)
         if rivals.any():  # a cell that two boxes of one class want goes to the better overlap
             strongest = torch.where(positive[rivals], overlap[rivals], -1.0).amax(0)
             positive[k] &= overlap[k] >= strongest

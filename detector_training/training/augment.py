@@ -1,6 +1,12 @@
 """Light augmentation: random crops at random scales, mirrors, light, blur and noise.
 
 Never an inversion: dark on light is what tells the target from its look-alikes.
+
+And no mosaic of four pictures in one. The levels of a target are nested and concentric, and what
+tells it from a ring is that they are all there: a seam through a board leaves half-boards in the
+middle of a picture, which no camera sees, and their boxes would reach over the seam as those of a
+target cut by the picture's own border do, so the net would learn to guess past any straight edge.
+What a mosaic is used for, small objects in many surroundings, the scales and backgrounds do here.
 """
 
 from __future__ import annotations

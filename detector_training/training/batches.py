@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Generator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -29,13 +30,32 @@ class Batch(NamedTuple):
 
     images: Tensor  # (B, 3, H, W) uint8
     truths: list[Truth]
+    pictures: tuple[Path, ...] = ()
+    """Where each crop was cut from, for messages."""
 
 
 class BatchSource:
-    """Makes batch ``step`` of a run; the same seed and step give the same batch."""
+    """Makes batch ``step`` of a run; the same seed and step give the same batch.
 
-    def __init__(self, samples: tuple[Sample, ...], batch_pixels: int, seed: int) -> None:
-        self._samples = samples
+    Args:
+        samples: The data set.
+        batch_pixels: Pixels of a batch.
+        seed: Of the run.
+        mixed: Another data set, which
+        mix_share: of all crops are cut from, by chance.
+    """
+
+    def __init__(
+        self,
+        samples: tuple[Sample, ...],
+        batch_pixels: int,
+        seed: int,
+        mixed: tuple[Sample, ...] = (),
+        mix_share: float = 0.0,
+    ) -> None:
+        self._own = len(samples)
+        self._samples = samples + mixed
+        self._mix_share = mix_share if mixed else 0.0
         self._batch_pixels = batch_pixels
         self._seed = seed
         self._cache: dict[int, bytes] = {}
@@ -46,11 +66,17 @@ class BatchSource:
         rng = np.random.default_rng((self._seed, step))
         size = SIZES[rng.choice(len(SIZES), p=SIZE_SHARES)]
         count = max(self._batch_pixels // (size[0] * size[1]), 1)
-        crops = [
-            self._crop(int(i), size, rng) for i in rng.integers(len(self._samples), size=count)
-        ]
+        indices = rng.integers(self._own, size=count)
+        if self._mix_share:
+            others = rng.integers(self._own, len(self._samples), size=count)
+            indices = np.where(rng.random(count) < self._mix_share, others, indices)
+        crops = [self._crop(int(i), size, rng) for i in indices]
         images = np.stack([c.image for c in crops])
-        return Batch(torch.from_numpy(images).permute(0, 3, 1, 2), [_truth(c) for c in crops])
+        return Batch(
+            torch.from_numpy(images).permute(0, 3, 1, 2),
+            [_truth(c) for c in crops],
+            tuple(self._samples[i].image for i in indices),
+        )
 
     def _crop(self, index: int, size: tuple[int, int], rng: np.random.Generator) -> Crop:
         sample = self._samples[index]

@@ -2,77 +2,70 @@
 
 from __future__ import annotations
 
-import copy
-import csv
+import hashlib
 import math
-import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import nn
 
-from detector_training.datasets.sample import CLASSES, Sample
-from detector_training.errors import TrainingError
+from detector_training.datasets.sample import Sample
+from detector_training.datasets.sheet import write_png
+from detector_training.errors import DatasetError, TrainingError
 from detector_training.training.batches import Batch, BatchSource, prefetched
+from detector_training.training.checkpoint import load_checkpoint, save_checkpoint
+from detector_training.training.gradient import Gradient, InOnePiece
+from detector_training.training.log import LOG_FIELDS, append_log, trim_log
 from detector_training.training.loss import Loss
+from detector_training.training.pictures import draw_crops
 from detector_training.training.replicas import Replicas
-from edge_service.detector.net import NetConfig, TargetNet
+from detector_training.training.settings import WARM_UP_STEPS, TrainSettings
+from detector_training.training.state import State, fresh_state
+from detector_training.training.summary import fingerprint, summarise
+from detector_training.training.validation import Validation, ValScore
+from edge_service.detector.net import TargetNet
 from edge_service.detector.weights import save_weights
+from target_pose.target import load_target
 
-CHECKPOINT = "checkpoint.pt"
+CHECKPOINT = "checkpoint.safetensors"
 WEIGHTS = "weights.safetensors"
+LAST = "last.safetensors"
 LOG = "log.csv"
-LOG_FIELDS = ("step", "images", "elapsed_s", "learning_rate", "loss", "score_loss", "box_loss")
+CROPS = "crops.png"
 
-WARM_UP_STEPS = 150
 FINAL_RATE = 0.02
 """Learning rate at the end, as a share of the highest."""
 AVERAGE_DECAY = 0.998
 GRADIENT_LIMIT = 10.0
+NAMED = 12
+"""Pictures of a bad batch that a message names."""
+
+__all__ = [
+    "CHECKPOINT",
+    "CROPS",
+    "LAST",
+    "LOG",
+    "LOG_FIELDS",
+    "WARM_UP_STEPS",
+    "WEIGHTS",
+    "NotFiniteError",
+    "Progress",
+    "Sets",
+    "TrainSettings",
+    "schedule",
+    "train",
+    "train_step",
+    "update_average",
+]
 
 
-@dataclass(frozen=True, slots=True)
-class TrainSettings:
-    """What a run is made with; a resumed run must have the same.
-
-    Raises:
-        TrainingError: a number is out of bounds, or not exactly one of minutes and epochs is given.
-    """
-
-    minutes: float | None = None
-    """Length of the run; its schedule follows the clock, so it is not reproducible to the bit."""
-    epochs: int | None = None
-    """Length of the run in pictures per data set size; reproducible with the seed."""
-    seed: int = 0
-    width: int = 16
-    learning_rate: float = 2e-3
-    weight_decay: float = 0.02
-    batch_pixels: int = 8 * 320 * 256
-    """Pixels of a batch; larger crops come in smaller batches."""
-    target: str = "bullseye-400"
-    bfloat16: bool = True
-    workers: int = 1
-    """CPUs to use; the result depends on it, since each norms its own share of a batch."""
-    checkpoint_steps: int = 100
-
-    def __post_init__(self) -> None:
-        if (self.minutes is None) == (self.epochs is None):
-            raise TrainingError("give either --minutes or --epochs")
-        if self.minutes is not None and not 0 < self.minutes <= 60 * 24 * 14:
-            raise TrainingError(f"minutes = {self.minutes} is not in (0, 20160]")
-        if self.epochs is not None and not 0 < self.epochs <= 100_000:
-            raise TrainingError(f"epochs = {self.epochs} is not in [1, 100000]")
-        if not 0 <= self.seed < 1 << 63:
-            raise TrainingError(f"seed = {self.seed} is not in [0, 2^63)")
-        if not 1 <= self.workers <= 256:
-            raise TrainingError(f"workers = {self.workers} is not in [1, 256]")
-        if not 0 < self.learning_rate <= 1:
-            raise TrainingError(f"learning rate = {self.learning_rate} is not in (0, 1]")
+class NotFiniteError(TrainingError):
+    """A loss or a gradient is no number; the net is as it was before the step."""
 
 
 class Progress(NamedTuple):
@@ -83,18 +76,20 @@ class Progress(NamedTuple):
     share: float
     """Of the run that is done, in [0, 1]."""
     loss: float
+    val: ValScore | None = None
+    """When the weights were scored in this step."""
 
 
-@dataclass(slots=True)
-class _State:
-    """Everything that a step changes."""
+@dataclass(frozen=True, slots=True)
+class Sets:
+    """What a run works with besides its training set."""
 
-    net: TargetNet
-    average: TargetNet
-    optimizer: torch.optim.AdamW
-    step: int = 0
-    images: int = 0
-    elapsed_s: float = 0.0
+    start: TargetNet | None = None
+    """Weights to start from; None: from chance."""
+    mixed: tuple[Sample, ...] = ()
+    """Another data set, of which ``mix_share`` of the crops are cut."""
+    val: tuple[Sample, ...] = ()
+    """Scored on the way; the best weights are kept."""
 
 
 def train(
@@ -102,80 +97,83 @@ def train(
     run: Path,
     settings: TrainSettings,
     *,
+    sets: Sets | None = None,
     resume: bool = False,
     report: Callable[[Progress], None] = lambda _: None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Path:
     """Train a net on a data set and leave its averaged weights in ``run``.
 
-    ``run`` gets ``checkpoint.pt`` (to resume), ``weights.safetensors`` and ``log.csv``; all are
-    replaced whole, so that a kill at any moment leaves a run that can go on.
+    ``run`` gets ``checkpoint.safetensors`` (to resume), ``last.safetensors``,
+    ``weights.safetensors`` (the best on ``sets.val`` where given, else the last), ``log.csv`` and
+    ``crops.png``; each is replaced whole, so that a kill at any moment leaves a run that can go on.
 
     Args:
         samples: The training set.
         run: Folder of the run; made when missing.
         settings: How to train.
+        sets: Where to start, what to mix in, what to score on.
         resume: Go on where the run's checkpoint stands.
         report: Called after every step.
+        stop: Asked after every step; once true, the state is saved and KeyboardInterrupt raised.
 
     Returns:
         The path of the weights.
 
     Raises:
-        TrainingError: the run exists and ``resume`` is false, or its checkpoint does not fit.
+        TrainingError: the run exists and ``resume`` is false, its checkpoint does not fit, nothing
+            can be learned from the data, a picture or the folder fails, or the loss is no number.
+        KeyboardInterrupt: ``stop`` said so.
     """
-    checkpoint = run / CHECKPOINT
-    if checkpoint.exists() and not resume:
-        raise TrainingError(f"{run} holds a run; give --resume or another folder")
-    run.mkdir(parents=True, exist_ok=True)
+    sets = sets or Sets()
+    _check_folder(run, resume)
+    summarise(samples)
+    target = load_target(settings.target)
+    validation = Validation(sets.val, target, settings.val_pictures) if sets.val else None
     torch.manual_seed(settings.seed)
-    state = _fresh_state(settings)
-    if checkpoint.exists():
-        _load(checkpoint, state, settings)
-    _trim_log(run / LOG, state.step)
-    source = BatchSource(samples, settings.batch_pixels, settings.seed)
-    started = time.monotonic() - state.elapsed_s
+    state = fresh_state(settings, sets.start)
+    loop = _Run(run, settings, state, validation, target.name, _origin(samples, sets))
+    if (run / CHECKPOINT).exists():
+        load_checkpoint(run / CHECKPOINT, state, settings, loop.origin)
+    source = BatchSource(
+        samples, settings.batch_pixels, settings.seed, sets.mixed, settings.mix_share
+    )
+    if not state.step:
+        write_png(run / CROPS, draw_crops(source))
+    trim_log(run / LOG, state.step)
     with (
         closing(prefetched(source, state.step)) as batches,
-        Replicas(state.net, settings.workers, settings.bfloat16) as replicas,
+        _gradient(state.net, settings) as gradient,
     ):
-        while (share := _share_done(state, len(samples), settings)) < 1:
-            batch = next(batches)
-            rate = settings.learning_rate * schedule(share, state.step)
-            loss = train_step(state.net, replicas, state.optimizer, batch, rate)
-            if not math.isfinite(float(loss.total)):
-                raise TrainingError(
-                    f"the loss is {float(loss.total)} at step {state.step}; lower --learning-rate"
-                )
-            state.step += 1
-            state.images += len(batch.truths)
-            state.elapsed_s = time.monotonic() - started
-            update_average(state.average, state.net, state.step)
-            _log(run / LOG, state, rate, loss)
-            report(Progress(state.step, state.images, share, float(loss.total)))
-            if state.step % settings.checkpoint_steps == 0:
-                _save(run, state, settings)
-    _save(run, state, settings)
+        loop.steps(batches, gradient, len(samples), report, stop)
     return run / WEIGHTS
 
 
-def schedule(share: float, step: int) -> float:
+def schedule(share: float, step: int, warm_up_steps: int = WARM_UP_STEPS) -> float:
     """Learning rate as a share of the highest: linear warm-up, then half a cosine."""
     cosine = FINAL_RATE + (1 - FINAL_RATE) * (1 + math.cos(math.pi * min(share, 1.0))) / 2
-    return cosine * min((step + 1) / WARM_UP_STEPS, 1.0)
+    return cosine * min((step + 1) / warm_up_steps, 1.0)
 
 
 def train_step(
     net: TargetNet,
-    replicas: Replicas,
+    gradient: Gradient,
     optimizer: torch.optim.Optimizer,
     batch: Batch,
     learning_rate: float,
 ) -> Loss:
-    """One step down the gradient; the loss is the one before the step."""
+    """One step down the gradient; the loss is the one before the step.
+
+    Raises:
+        NotFiniteError: the loss or the gradient is no number; no step was made.
+    """
     for group in optimizer.param_groups:
         group["lr"] = learning_rate
-    loss = replicas.backward(batch)
-    nn.utils.clip_grad_norm_(net.parameters(), GRADIENT_LIMIT)
+    loss = gradient.backward(batch)
+    norm = nn.utils.clip_grad_norm_(net.parameters(), GRADIENT_LIMIT)
+    for name, value in (("loss", loss.total), ("gradient", norm)):
+        if not math.isfinite(float(value)):
+            raise NotFiniteError(f"the {name} is {float(value)}")
     optimizer.step()
     return loss
 
@@ -189,93 +187,159 @@ def update_average(average: TargetNet, net: TargetNet, step: int) -> None:
             mean.lerp_(new, 1 - decay)
 
 
-def _fresh_state(settings: TrainSettings) -> _State:
-    net = TargetNet(NetConfig(CLASSES, settings.width))
-    net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload] # torch's stub
-    decayed = [p for p in net.parameters() if p.ndim > 1]
-    others = [p for p in net.parameters() if p.ndim <= 1]
-    optimizer = torch.optim.AdamW(
-        [
-            {"params": decayed, "weight_decay": settings.weight_decay},
-            {"params": others, "weight_decay": 0.0},
-        ],
-        lr=settings.learning_rate,
-        betas=(0.9, 0.99),
-    )
-    return _State(net.train(), copy.deepcopy(net).eval(), optimizer)
+@dataclass(slots=True)
+class _Run:
+    """The loop around the steps, and what it leaves in the folder."""
+
+    folder: Path
+    settings: TrainSettings
+    state: State
+    validation: Validation | None
+    target: str
+    """Its name; the settings may have the path of a file."""
+    origin: str
+
+    def steps(
+        self,
+        batches: Iterator[Batch],
+        gradient: Gradient,
+        n_samples: int,
+        report: Callable[[Progress], None],
+        stop: Callable[[], bool],
+    ) -> None:
+        """Step until the run is as long as it shall be, or does not get better any more."""
+        state, settings = self.state, self.settings
+        started = time.monotonic() - state.elapsed_s
+        saved = -1
+        share = _share_done(state, n_samples, settings)
+        while share < 1 and not self._is_stale():
+            batch = self._next(batches)
+            rate = settings.learning_rate * schedule(share, state.step, settings.warm_up_steps)
+            loss = self._step(gradient, batch, rate)
+            state.step += 1
+            state.images += len(batch.truths)
+            state.elapsed_s = time.monotonic() - started
+            update_average(state.average, state.net, state.step)
+            before, share = share, _share_done(state, n_samples, settings)
+            if (val := self._validate(before, share)) is not None:
+                state.elapsed_s = time.monotonic() - started
+                share = _share_done(state, n_samples, settings)
+            append_log(self.folder / LOG, state, rate, loss, val)
+            report(Progress(state.step, state.images, min(share, 1.0), float(loss.total), val))
+            stopped = stop()
+            if stopped or val is not None or state.step % settings.checkpoint_steps == 0:
+                self.save()
+                saved = state.step
+            if stopped:
+                raise KeyboardInterrupt
+        if saved != state.step:
+            self.save()
+
+    def save(self) -> None:
+        """Leave weights and checkpoint.
+
+        Raises:
+            TrainingError: they cannot be written, or are no numbers.
+        """
+        if not self.state.is_finite():
+            raise TrainingError(
+                f"the weights are no numbers after step {self.state.step}; {self._way_on()}"
+            )
+        names = (LAST,) if self.validation else (LAST, WEIGHTS)
+        for name in names:
+            self._write_weights(name)
+        save_checkpoint(self.folder / CHECKPOINT, self.state, self.settings, self.origin)
+
+    def _write_weights(self, name: str) -> None:
+        path = self.folder / name
+        try:
+            save_weights(path, self.state.average, self.target)
+        except OSError as error:
+            path.with_name(path.name + ".part").unlink(missing_ok=True)
+            raise TrainingError(f"cannot write {path}: {error.strerror or error}") from None
+
+    def _next(self, batches: Iterator[Batch]) -> Batch:
+        """The next batch; when a picture fails, what was learned so far is kept."""
+        try:
+            return next(batches)
+        except DatasetError as error:
+            if not self.state.step:
+                raise
+            self.save()
+            raise DatasetError(
+                f"{error}; step {self.state.step} is kept: mend the picture and --resume"
+            ) from None
+
+    def _step(self, gradient: Gradient, batch: Batch, rate: float) -> Loss:
+        state = self.state
+        try:
+            return train_step(state.net, gradient, state.optimizer, batch, rate)
+        except NotFiniteError as error:
+            names = list(dict.fromkeys(str(p) for p in batch.pictures))
+            more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+            raise NotFiniteError(
+                f"{error} at step {state.step}, of {', '.join(names[:NAMED])}{more}; "
+                f"{self._way_on()}"
+            ) from None
+
+    def _way_on(self) -> str:
+        """What to do when numbers ran away."""
+        rate = f"a --learning-rate below {self.settings.learning_rate:g}"
+        if (self.folder / LAST).exists():
+            return f"go on with --from {self.folder / LAST}, another --out and {rate}"
+        return f"start anew with {rate}"
+
+    def _validate(self, before: float, share: float) -> ValScore | None:
+        """Score the averaged weights when a tick of the run has passed; keep them when best."""
+        ticks = self.settings.validations
+        if self.validation is None or int(before * ticks) == int(min(share, 1.0) * ticks):
+            return None
+        state = self.state
+        score = self.validation.score(state.average)
+        if score.ap50_95 > state.best:
+            state.best, state.best_step, state.since_best = score.ap50_95, state.step, 0
+            self._write_weights(WEIGHTS)
+        else:
+            state.since_best += 1
+        return score
+
+    def _is_stale(self) -> bool:
+        patience = self.settings.patience
+        return patience is not None and self.state.since_best >= patience
 
 
-def _share_done(state: _State, n_samples: int, settings: TrainSettings) -> float:
+def _gradient(net: TargetNet, settings: TrainSettings) -> Gradient:
+    if settings.device == "cuda":
+        return InOnePiece(net, settings.bfloat16)
+    return Replicas(net, settings.workers, settings.bfloat16)
+
+
+def _share_done(state: State, n_samples: int, settings: TrainSettings) -> float:
     if settings.minutes is not None:
         return state.elapsed_s / (60 * settings.minutes)
-    assert settings.epochs is not None
-    return state.images / (settings.epochs * n_samples)
+    length = settings.length(n_samples)
+    assert length is not None
+    return state.images / length
 
 
-def _comparable(settings: TrainSettings) -> dict[str, Any]:
-    """What must not change between a run and its resumption (a longer run is a fair wish)."""
-    fixed = asdict(settings)
-    for free in ("minutes", "epochs", "checkpoint_steps", "workers"):
-        del fixed[free]
-    return fixed
-
-
-def _save(run: Path, state: _State, settings: TrainSettings) -> None:
-    part = run / (CHECKPOINT + ".part")
-    torch.save(
-        {
-            "settings": _comparable(settings),
-            "net": state.net.state_dict(),
-            "average": state.average.state_dict(),
-            "optimizer": state.optimizer.state_dict(),
-            "step": state.step,
-            "images": state.images,
-            "elapsed_s": state.elapsed_s,
-        },
-        part,
-    )
-    os.replace(part, run / CHECKPOINT)
-    save_weights(run / WEIGHTS, state.average, settings.target)
-
-
-def _load(path: Path, state: _State, settings: TrainSettings) -> None:
+def _check_folder(run: Path, resume: bool) -> None:
     try:
-        saved: dict[str, Any] = torch.load(path, weights_only=True)
-        was, wanted = saved["settings"], _comparable(settings)
-        if was != wanted:
-            changed = sorted(k for k in wanted if was.get(k) != wanted[k])
-            raise TrainingError(f"{path} was made with another {', '.join(changed)}")
-        state.net.load_state_dict(saved["net"])
-        state.average.load_state_dict(saved["average"])
-        state.optimizer.load_state_dict(saved["optimizer"])
-        state.step, state.images = int(saved["step"]), int(saved["images"])
-        state.elapsed_s = float(saved["elapsed_s"])
-    except (OSError, RuntimeError, KeyError, ValueError, EOFError) as error:
-        raise TrainingError(f"checkpoint {path} cannot be resumed: {error}") from None
+        if (run / CHECKPOINT).exists():
+            if not resume:
+                raise TrainingError(f"{run} holds a run; give --resume or another folder")
+        elif (run / WEIGHTS).exists() or (run / LAST).exists():
+            raise TrainingError(f"{run} holds weights but no {CHECKPOINT}; name another folder")
+        run.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TrainingError(f"cannot write to {run}: {error.strerror or error}") from None
 
 
-def _trim_log(path: Path, step: int) -> None:
-    """Drop the lines after the checkpoint: those steps will be done again."""
-    rows: list[dict[str, str]] = []
-    if path.exists():
-        with path.open(newline="") as file:
-            rows = [r for r in csv.DictReader(file) if r["loss"] and int(r["step"]) <= step]
-    part = path.with_name(path.name + ".part")
-    with part.open("w", newline="") as file:
-        writer = csv.DictWriter(file, LOG_FIELDS, extrasaction="ignore", restval="")
-        writer.writeheader()
-        writer.writerows(rows)
-    os.replace(part, path)
-
-
-def _log(path: Path, state: _State, rate: float, loss: Loss) -> None:
-    with path.open("a", newline="") as file:
-        csv.writer(file).writerow(
-            (
-                state.step,
-                state.images,
-                f"{state.elapsed_s:.1f}",
-                f"{rate:.6g}",
-                *(f"{float(part):.5g}" for part in loss),
-            )
-        )
+def _origin(samples: tuple[Sample, ...], sets: Sets) -> str:
+    """Digest of what a run is made from."""
+    digest = hashlib.sha256()
+    for part in (samples, sets.mixed, sets.val):
+        digest.update(fingerprint(part).encode())
+    if sets.start is not None:
+        for name, tensor in sets.start.state_dict().items():
+            digest.update(name.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()

@@ -9,16 +9,15 @@ threads took 4 pictures a second, one thread 10, two replicas 13).
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 
 import torch
+from torch import nn
 
-from detector_training.training.assign import Truth
 from detector_training.training.batches import Batch
-from detector_training.training.loss import Loss, detection_loss
-from edge_service.detector.boxes import cell_centers
+from detector_training.training.gradient import backward_part
+from detector_training.training.loss import Loss
 from edge_service.detector.net import TargetNet
 
 
@@ -32,6 +31,7 @@ class Replicas:
         self._net = net
         self._others = [_sharing(net) for _ in range(workers - 1)]
         self._bfloat16 = bfloat16
+        self._norms_learn = any(isinstance(m, nn.BatchNorm2d) and m.training for m in net.modules())
         self._threads_before = torch.get_num_threads()
         torch.set_num_threads(1)
         self._pool = ThreadPoolExecutor(workers, "replica", torch.set_num_threads, (1,))
@@ -59,25 +59,14 @@ class Replicas:
         for replica in replicas:
             replica.zero_grad(set_to_none=True)
         jobs = [
-            self._pool.submit(self._part, replica, part, batch.truths[a:b], len(batch.truths))
+            self._pool.submit(
+                backward_part, replica, part, batch.truths[a:b], len(batch.truths), self._bfloat16
+            )
             for replica, part, a, b in zip(replicas, images, ends, ends[1:], strict=False)
         ]
         losses = [job.result() for job in jobs]
         self._gather(replicas)
         return Loss(*(torch.stack(parts).sum() for parts in zip(*losses, strict=True)))
-
-    def _part(
-        self, net: TargetNet, images: torch.Tensor, truths: Sequence[Truth], whole: int
-    ) -> Loss:
-        """Gradient and loss of a share of the batch, weighted by its size."""
-        pixels = images.contiguous(memory_format=torch.channels_last).float() / 255
-        centers, strides = cell_centers(pixels.shape[2], pixels.shape[3])
-        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
-            prediction = net(pixels)
-        weight = len(truths) / whole
-        loss = detection_loss(prediction, list(truths), centers, strides)
-        (weight * loss.total).backward()  # type: ignore[no-untyped-call] # torch leaves it untyped
-        return Loss(*(weight * part.detach() for part in loss))
 
     @torch.no_grad()
     def _gather(self, replicas: list[TargetNet]) -> None:
@@ -86,6 +75,7 @@ class Replicas:
             for same in zip(*(r.parameters() for r in replicas), strict=True):
                 gradients = [p.grad for p in same if p.grad is not None]
                 same[0].grad = torch.stack(gradients).sum(0) if gradients else None
+        if len(replicas) > 1 and self._norms_learn:
             for buffers in zip(*(r.buffers() for r in replicas), strict=True):
                 if buffers[0].dtype.is_floating_point:
                     buffers[0].copy_(torch.stack(buffers).mean(0))

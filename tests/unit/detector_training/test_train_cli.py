@@ -47,10 +47,13 @@ def test_train_leaves_a_run_with_weights_plot_and_scores(data, tmp_path):
     assert result.exit_code == 0, result.output
     left = {p.name for p in out.iterdir()}
     assert left == {
-        "checkpoint.pt",
+        "checkpoint.safetensors",
         "weights.safetensors",
+        "last.safetensors",
         "log.csv",
         "loss.png",
+        "crops.png",
+        "val.png",
         "evaluation.json",
     }
     assert json.loads((out / "evaluation.json").read_text())["pictures"] == 4
@@ -81,7 +84,7 @@ def test_evaluate_prints_a_table(data):
         (("evaluate", "missing.safetensors", "tiny"), "missing.safetensors"),
         (("evaluate", DEFAULT_WEIGHTS, "nowhere"), "no data set in nowhere"),
         (("train", "nowhere", "--out", "run", "--epochs", 1), "no data set in nowhere"),
-        (("train", "nowhere", "--out", "run"), "--minutes or --epochs"),
+        (("train", "tiny", "--out", "run", "--epochs", 1, "--minutes", 1), "--minutes or --epochs"),
         (("evaluate", DEFAULT_WEIGHTS, "tiny", "--target", "cup"), "no target 'cup'"),
     ],
 )
