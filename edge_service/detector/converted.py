@@ -15,7 +15,7 @@ from edge_service.detector.onnx_model import EXPORT_VERSION
 from edge_service.errors import WeightsError
 
 LIMIT_S = 300.0
-"""A conversion takes 5 s, on a machine with a tenth of a CPU a minute."""
+"""A conversion takes some seconds on a whole CPU; a small share of one may need a hundred times."""
 
 
 def default_cache() -> Path:

@@ -1,9 +1,8 @@
 """Our weights as an ONNX file: ``python -m edge_service.detector.onnx_export WEIGHTS OUT.onnx``.
 
 The exporter is PyTorch's by tracing (``dynamo=False``). The net is plain convolutions without a
-branch, which a trace holds in full; the newer exporter takes two more packages, ten times as long,
-and writes the paths of source files into the graph. Height and width stay free: measured, a graph
-of one size is not faster in either runtime.
+branch, which a trace holds in full, and the newer exporter would need another package. Height and
+width stay free: measured, a graph of one size is not faster in either runtime.
 
 The same weights give the same bytes: what varies (names of tools, comments) is taken out.
 """

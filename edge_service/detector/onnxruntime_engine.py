@@ -40,8 +40,8 @@ class OnnxRuntimeEngine:
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1
         options.log_severity_level = _ERRORS_ONLY
-        # Threads that spin between layers win 5 % on an idle machine and lose half on a shared one,
-        # where they burn the quota that the others need
+        # Threads that spin between layers burn the quota that others need: on a machine with other
+        # work a picture took 54 to 77 ms with it and 38 without
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
             self._session = onnxruntime.InferenceSession(
