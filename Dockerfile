@@ -21,8 +21,10 @@ RUN PIP_INDEX_URL="${TORCH_INDEX_URL}" pip install "torch==${TORCH_VERSION}"
 # stays the same when only code changes.
 WORKDIR /build
 COPY pyproject.toml README.md LICENSE ./
+# More engines for the detector: drone,edge,onnxruntime or drone,edge,openvino
+ARG EXTRAS=drone,edge
 # hadolint ignore=DL3013 # the project itself; pyproject.toml bounds the versions
-RUN pip install ".[drone,edge]" && pip uninstall --yes aerial-contact
+RUN pip install ".[${EXTRAS}]" && pip uninstall --yes aerial-contact
 
 FROM packages AS project
 COPY rgbd_wire rgbd_wire
