@@ -272,7 +272,7 @@ def test_what_cannot_be_loaded_is_one_line(failing, tmp_path):
     junk.write_bytes(b"junk")
     assert str(junk) in failing("--weights", str(junk))
     assert str(tmp_path / "none") in failing("--weights", str(tmp_path / "none"))
-    assert "packaged: bullseye-400" in failing("--target", "bullseye-999")
+    assert "packaged: bullseye-200, bullseye-400" in failing("--target", "bullseye-999")
     assert str(tmp_path / "keys") in failing(
         "--udp", "127.0.0.1:0", "--keys", str(tmp_path / "keys")
     )
