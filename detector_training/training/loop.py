@@ -296,11 +296,10 @@ class _Run:
             return None
         state = self.state
         score = self.validation.score(state.average)
-        if score.ap50_95 > state.best:
-            state.best, state.best_step, state.since_best = score.ap50_95, state.step, 0
+        state.since_best = 0 if score.ap50_95 > state.best else state.since_best + 1
+        if score.ap50_95 >= state.best:  # of equals the later: it has seen more
+            state.best, state.best_step = score.ap50_95, state.step
             self._write_weights(WEIGHTS)
-        else:
-            state.since_best += 1
         return score
 
     def _is_stale(self) -> bool:

@@ -42,7 +42,7 @@ def plot_log(log: Path, out: Path, window: int = 50) -> None:
         at = [int(r["images"]) for r in scored]
         for field in ValScore._fields:
             axes[2].plot(at, [float(r[f"val_{field}"]) for r in scored], "o-", label=field)
-        best = max(scored, key=lambda r: float(r["val_ap50_95"]))
+        best = max(scored, key=lambda r: (float(r["val_ap50_95"]), int(r["images"])))
         axes[2].axvline(int(best["images"]), color="gray", linestyle=":", label="weights kept")
         axes[2].set(xlabel="pictures seen", ylabel="on the validation set")
         axes[2].legend()

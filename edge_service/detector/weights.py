@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,12 +63,23 @@ def save_weights(path: Path, net: TargetNet, target: str) -> None:
         "width": str(net.config.width),
         "target": target,
     }
-    data = save(tensors, metadata)
+    data = _in_order(save(tensors, metadata))
     if len(data) > MAX_WEIGHTS_BYTES:
         raise WeightsError(f"{path}: {len(data)} bytes are over {MAX_WEIGHTS_BYTES}")
     part = path.with_name(path.name + ".part")
     part.write_bytes(data)
     os.replace(part, path)
+
+
+def _in_order(data: bytes) -> bytes:
+    """The same file with its header sorted: as it comes, the order of the metadata is random.
+
+    Eight bytes of length, JSON padded with blanks, tensors (the format's own description).
+    """
+    end = 8 + int.from_bytes(data[:8], "little")
+    header = json.dumps(json.loads(data[8:end]), sort_keys=True, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 8)
+    return len(header).to_bytes(8, "little") + header + data[end:]
 
 
 def load_weights(path: Path) -> tuple[TargetNet, WeightsInfo]:

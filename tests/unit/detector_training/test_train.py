@@ -1,9 +1,8 @@
-"""Training: it learns, it repeats itself, it survives a kill."""
+"""Training: it learns, alone and with several workers, and leaves what it shall."""
 
 from __future__ import annotations
 
 import copy
-import csv
 import dataclasses
 
 import cv2
@@ -13,7 +12,6 @@ import torch
 
 from detector_training.datasets.sample import load_dataset
 from detector_training.errors import DatasetError, TrainingError
-from detector_training.training import batches
 from detector_training.training.batches import BatchSource, prefetched
 from detector_training.training.loop import (
     CHECKPOINT,
@@ -31,22 +29,13 @@ from detector_training.training.replicas import Replicas
 from edge_service.detector.net import NetConfig, TargetNet
 from edge_service.detector.weights import load_weights
 from target_pose.target import Level
+from tests.unit.detector_training.small_runs import SIZE, TINY, use_small_crops
 from tests.unit.detector_training.tiny import write_tiny
-
-SIZE = (160, 128)
-TINY = {
-    "width": 4,
-    "batch_pixels": 2 * SIZE[0] * SIZE[1],
-    "bfloat16": False,
-    "checkpoint_steps": 2,
-}
 
 
 @pytest.fixture(autouse=True)
 def _small_crops(monkeypatch):
-    """The real sizes would take most of the tests' time and show nothing more."""
-    monkeypatch.setattr(batches, "SIZES", (SIZE,))
-    monkeypatch.setattr(batches, "SIZE_SHARES", (1.0,))
+    use_small_crops(monkeypatch.setattr)
 
 
 def _source(samples, pictures, seed=0):
@@ -57,11 +46,6 @@ def _source(samples, pictures, seed=0):
 def samples(tmp_path_factory):
     """Four small pictures with a bullseye each."""
     return load_dataset(write_tiny(tmp_path_factory.mktemp("data")))
-
-
-def _steps(run):
-    with (run / LOG).open(newline="") as file:
-        return [int(r["step"]) for r in csv.DictReader(file)]
 
 
 def _net_and_optimizer(seed=0):
@@ -109,28 +93,6 @@ def test_workers_share_parameters_and_statistics(samples):
         (other,) = replicas._others
         for name, tensor in net.state_dict().items():
             assert torch.equal(tensor, other.state_dict()[name]), name
-
-
-def test_a_killed_run_resumes_to_the_same_weights(samples, tmp_path):
-    """Stopped after a checkpoint and a step more, then resumed: as if nothing had happened."""
-    settings = TrainSettings(epochs=4, **TINY)
-    whole = load_weights(train(samples, tmp_path / "whole", settings))[0].state_dict()
-    assert len(_steps(tmp_path / "whole")) >= 5
-
-    class Killed(Exception):
-        pass
-
-    def kill(progress):
-        if progress.step == 3:
-            raise Killed
-
-    with pytest.raises(Killed):
-        train(samples, tmp_path / "cut", settings, report=kill)
-    resumed = train(samples, tmp_path / "cut", settings, resume=True)
-    for name, tensor in load_weights(resumed)[0].state_dict().items():
-        assert torch.equal(tensor, whole[name]), name
-    assert _steps(tmp_path / "cut") == _steps(tmp_path / "whole")  # the lost step is logged once
-    assert not list((tmp_path / "cut").glob("*.part"))
 
 
 def test_a_run_is_not_overwritten(samples, tmp_path):
