@@ -7,6 +7,7 @@
     ├── SceneError         a request for scenes that cannot be met
     ├── DatasetError       a data set folder that is missing or malformed
     ├── ExportError        an export that says something else than the net
+    ├── TargetPrintError   a target that cannot be printed as asked
     └── EvaluationError    an evaluation asked for with numbers or files that give none
 """
 
@@ -23,6 +24,10 @@ class BackgroundsError(TrainingError):
 
 class SceneError(TrainingError):
     """Scenes were asked for with numbers that make none."""
+
+
+class TargetPrintError(TrainingError):
+    """A target cannot be printed as asked: on this paper, into this file."""
 
 
 class DatasetError(TrainingError):

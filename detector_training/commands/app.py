@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from detector_training.commands import scenes
+from detector_training.commands import scenes, target
 from detector_training.commands.shell import one_line_errors
 
 app = typer.Typer(
@@ -12,6 +12,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+target.register(app)
 scenes.register(app)
 
 
