@@ -87,9 +87,13 @@ def _one_page(target: Target, digest: str, paper: Paper, margin_mm: float) -> Pa
 
 
 def _tiled(target: Target, digest: str, paper: Paper, margin_mm: float) -> tuple[Page, ...]:
-    sheet = draw(target, digest)
-    grids = [(tile_grid(sheet, size, margin_mm), size) for size in _orientations(paper)]
-    (rows, columns), size = min(grids, key=lambda g: math.prod(g[0]))  # upright when equal
+    # the fewest pages; among equals with all marks, and upright
+    ways = [
+        (tile_grid(sheet, size, margin_mm), sheet, size)
+        for sheet in (draw(target, digest), draw(target, digest, side_marks=False))
+        for size in _orientations(paper)
+    ]
+    (rows, columns), sheet, size = min(ways, key=lambda way: math.prod(way[0]))
     if rows * columns > MAX_PAGES:
         raise TargetPrintError(
             f"{printable(target.name)} on {paper} takes {rows * columns} pages, more than "

@@ -145,7 +145,8 @@ def test_tiles_cover_the_whole_and_overlap(target, paper, margin):
     except TargetPrintError:
         assume(False)
     assume(len(pages) > 1)
-    sheet = draw(target, "0" * 12)
+    sheets = [draw(target, "0" * 12, side_marks) for side_marks in (True, False)]
+    sheet = next(s for s in sheets if len(s.shapes) == len(pages[0].shapes))
     first = sheet.shapes[0].corners_mm[0]
     spans = set()
     for page in pages:
@@ -172,6 +173,12 @@ def test_papers():
         lay_out(load_target(), "0" * 12, Paper.FIT, 5.0, tiles=True)
     with pytest.raises(TargetPrintError, match="margin of nan"):
         lay_out(load_target(), "0" * 12, Paper.A4, math.nan)
+
+
+def test_tiles_take_the_fewest_pages():
+    """The large target on A3 is two lying pages without side marks, not four upright ones."""
+    pages = lay_out(load_target(), "0" * 12, Paper.A3, 5.0, tiles=True)
+    assert [(p.width_mm, p.height_mm) for p in pages] == [(420, 297)] * 2
 
 
 def test_reach():
