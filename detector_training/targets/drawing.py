@@ -27,7 +27,7 @@ MARK_MM, GAP_MM = 5.0, 1.0
 BLEED_MM = MARK_MM + GAP_MM
 HEAD_MM = 9.0
 RULER_MM = 100
-FOOTER_MM = 43.0
+FOOTER_MM = 47.0
 LEAST_WIDTH_MM = 110.0
 """The ruler and its last figure."""
 
@@ -126,12 +126,13 @@ def _footer(
         "boxes  "
         + "   ".join(f"{level} {millimetres(target.level_m[level])} mm" for level in Level),
         f"file {digest} (first digits of the SHA-256 of its TOML)",
-        "Print at 100 %, on matte paper; never 'fit to page'. Hang it flat, arrow up.",
+        "Print at 100 %, on matte paper; never 'fit to page'.",
+        "Cut along the outline: a camera looks for the board's edge. Hang flat, arrow up.",
     )
     shapes: list[Shape] = [Text(x, y, name, fitted(name, 5.5, room), INK, bold=True)]
     for number, line in enumerate(lines):
         shapes.append(Text(x, y + 5.4 + 4.1 * number, line, fitted(line, 2.8, room), QUIET))
-    return [*shapes, *_ruler(x, y + 21.5)]
+    return [*shapes, *_ruler(x, y + 25.6)]
 
 
 def _ruler(x: float, y: float) -> list[Shape]:

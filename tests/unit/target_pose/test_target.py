@@ -3,11 +3,17 @@
 import math
 import tomllib
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
+from rgbd_wire.geometry import Pose
+from target_pose.candidate import Box, Candidate
 from target_pose.errors import TargetFileError
+from target_pose.localisation import Localisation
+from target_pose.localise import localise
 from target_pose.target import (
     MIN_CONTRAST,
     Level,
@@ -17,6 +23,13 @@ from target_pose.target import (
     packaged_targets,
     parse_target,
     target_file,
+)
+from tests.unit.target_pose.render import (
+    Look,
+    facing_pose,
+    render_color,
+    render_depth,
+    true_box,
 )
 
 TEXT = target_file("bullseye-400").read_text()
@@ -105,6 +118,32 @@ def test_the_small_one_is_half_of_the_large_one():
     assert [2 * d.diameter_m for d in small.discs] == [d.diameter_m for d in large.discs]
     assert [d.shade for d in small.discs] == [d.shade for d in large.discs]
     assert {lv: 2 * small.level_m[lv] for lv in Level} == large.level_m
+
+
+@pytest.mark.parametrize("depth", [True, False])
+def test_half_the_target_is_found_at_half_the_distance(depth):
+    """No stage assumes 0.4 m: the same picture read as the small target gives half the distance."""
+    small, large = load_target("bullseye-200"), load_target("bullseye-400")
+    camera = CameraIntrinsics(320, 240, 300.0, 300.0, 161.0, 119.0)
+    found = []
+    for target, scale in ((large, 1.0), (small, 0.5)):
+        rig = RgbdCamera(camera, camera, 0.0005 * scale, Pose(np.zeros(3), [1.0, 0, 0, 0]))
+        pose = facing_pose(scale * np.array([0.1, -0.05, 1.2]), 0.5, 0.8, 0.1)
+        look = Look(wall_gap_m=0.3 * scale)
+        boxes = {
+            level: Box(
+                *true_box(target, pose, camera, target.level_m[level], level is Level.GOOD), 0.9
+            )
+            for level in Level
+        }
+        units = render_depth(target, rig, pose, look) if depth else None
+        color = render_color(target, camera, pose, look)
+        answer = localise(color, units, rig, Candidate(boxes, 0.9), target)
+        assert isinstance(answer, Localisation), answer
+        found.append(answer.camera_from_target)
+        assert found[-1].translation == pytest.approx(pose.translation, rel=0.02)
+    assert 2 * found[1].translation == pytest.approx(found[0].translation, rel=0.01)
+    assert found[1].rotation == pytest.approx(found[0].rotation, abs=0.02)
 
 
 @pytest.mark.parametrize(
