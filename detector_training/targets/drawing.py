@@ -136,7 +136,7 @@ def _footer(
 
 
 def _ruler(x: float, y: float) -> list[Shape]:
-    """100 mm from the left edge of the first stroke's middle to that of the last."""
+    """100 mm from the middle of the first tick to that of the last."""
     shapes: list[Shape] = [Line(x, y, x + RULER_MM, y, 0.2, INK)]
     for mm in range(RULER_MM + 1):
         length = 5.0 if mm % 10 == 0 else 3.5 if mm % 5 == 0 else 2.0
