@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from target_pose.candidate import Box, Candidate, Detections
-from target_pose.rings import is_board, shades_fit
+from target_pose.rings import is_board, shades_share
 from target_pose.target import Level, Target
 
 MAX_BOXES = 20
@@ -36,6 +36,9 @@ CUT_SLACK = 2.5
 MIN_SCORE = 0.35
 """Least score of a candidate: two levels of 0.53, or three of 0.35 (on generated scenes this drops
 two of three false ones and one of twenty true ones)."""
+
+MIN_SHADES_SHARE = 0.7
+"""Least share of rays on which the rings have the right shades."""
 
 MAX_CHECKS = 20
 """Groups of boxes whose shades are looked at, best first: bounds the time in any picture."""
@@ -69,7 +72,7 @@ def group(
         if any(_same_place(candidate, other) for other in found):
             continue
         assert gray is not None
-        if shades_fit(np.asarray(gray, np.uint8), candidate.boxes, target):
+        if shades_share(np.asarray(gray, np.uint8), candidate.boxes, target) >= MIN_SHADES_SHARE:
             found.append(candidate)
     return tuple(found)
 

@@ -14,8 +14,6 @@ from target_pose.candidate import Box
 from target_pose.target import Level, Shade, Target
 
 RAYS = 32
-MIN_RAYS_SHARE = 0.7
-"""Share of the rays that see an edge on which it must have the right sign."""
 MIN_RAYS_SEEN = 8
 """An edge that fewer rays see is not judged; at least one must be."""
 MIN_RING_PX = 1.5
@@ -24,6 +22,9 @@ THICK_RING_PX = 8.0
 """Where no box vouches for a ring's width, all samples of a ring this thick must agree."""
 MIN_CONTRAST_LEVELS, MIN_CONTRAST = 4.0, 0.12
 """Least step between two shades: gray levels, and a share of the lighter one."""
+
+SURE_SHARE = 0.95
+"""Better need not be searched for."""
 
 _SKEWS = (0.0, 0.4, -0.4, 0.7, -0.7, 0.88, -0.88)
 """Correlations of the ellipse in a box: a box alone does not say which way a tilted disc leans."""
@@ -55,21 +56,28 @@ def is_board(level: Level, target: Target) -> bool:
     return math.isclose(target.level_m[level], target.board_side_m)
 
 
-def shades_fit(gray: NDArray[np.uint8], boxes: dict[Level, Box], target: Target) -> bool:
-    """Whether the rings inside and around the discs' boxes have the target's shades.
+def shades_share(gray: NDArray[np.uint8], boxes: dict[Level, Box], target: Target) -> float:
+    """On what share of the rays the rings inside and around the discs' boxes have their shades.
+
+    Of the printed edges the one that fits worst counts; of the ellipses that a box may hold, the
+    one that fits best.
 
     Args:
         gray: (H, W).
         boxes: With at least one disc's. Where a level lacks, the widths of the rings are checked
             in the picture; else the boxes have told them.
         target: Sizes and shades.
+
+    Returns:
+        In [0, 1]; 0 where no edge can be judged.
     """
     circles, thick_px = _circles(boxes, target), THICK_RING_PX
     if len(boxes) == len(target.level_m):
         thick_px = math.inf
-    return any(
-        bool(_edges_fit(gray, circles, target, unit, thick_px).any()) for unit in (_TIGHT, _LOOSE)
-    )
+    tight = float(_edges_share(gray, circles, target, _TIGHT, thick_px).max())
+    if tight >= SURE_SHARE:
+        return tight
+    return max(tight, float(_edges_share(gray, circles, target, _LOOSE, thick_px).max()))
 
 
 class _Circles(NamedTuple):
@@ -95,14 +103,14 @@ def _circles(boxes: dict[Level, Box], target: Target) -> _Circles:
     return _Circles(np.polyfit(radius, center, 1), np.polyfit(radius, scale, 1))
 
 
-def _edges_fit(
+def _edges_share(
     gray: NDArray[np.uint8],
     circles: _Circles,
     target: Target,
     unit: NDArray[np.float64],
     thick_px: float,
-) -> NDArray[np.bool_]:
-    """Whether every printed edge that can be seen has the right sign on most rays; one per shape.
+) -> NDArray[np.float64]:
+    """Share of right rays of the worst printed edge that can be seen; one per shape.
 
     A circle is taken as one of the shapes ``unit`` in its box. Axes: S shapes, K rings from the
     outside in, 3 samples across a ring, R rays.
@@ -137,5 +145,6 @@ def _edges_fit(
     seen &= np.minimum(across[:, :-1], across[:, 1:]) >= MIN_RING_PX
     count = seen.sum(axis=2)  # (S, K - 1)
     judged = count >= MIN_RAYS_SEEN
-    fits = (right & seen).sum(axis=2) >= MIN_RAYS_SHARE * count
-    return np.asarray((fits | ~judged).all(axis=1) & judged.any(axis=1))
+    share = (right & seen).sum(axis=2) / np.maximum(count, 1)
+    worst = np.where(judged, share, 1.0).min(axis=1)
+    return np.asarray(np.where(judged.any(axis=1), worst, 0.0))
