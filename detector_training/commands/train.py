@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import json
-import signal
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any, Literal
 
 import torch
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from detector_training.commands.evaluate import AP_SCORE_THRESHOLD, print_report
+from detector_training.commands.evaluate import AP_SCORE_THRESHOLD, SHORT
 from detector_training.commands.shell import command_line, one_line_errors
+from detector_training.commands.train_shell import progress, stop_when_asked
 from detector_training.datasets.names import LabelNames
 from detector_training.datasets.output import write_file
 from detector_training.datasets.sample import Sample, load_dataset
 from detector_training.datasets.sheet import write_png
 from detector_training.errors import TrainingError
+from detector_training.evaluation.report import share_text
 from detector_training.evaluation.run import run_detector
-from detector_training.evaluation.scores import Report, score
+from detector_training.evaluation.scores import ALL, CANDIDATE, Report, score
 from detector_training.training import loop as training
 from detector_training.training import settings as defaults
 from detector_training.training.pictures import draw_finds
@@ -35,9 +31,6 @@ from edge_service.detector.files import DEFAULT_WEIGHTS
 from edge_service.detector.threads import available_cpus
 from edge_service.detector.weights import load_weights
 from target_pose.target import DEFAULT_TARGET, load_target
-
-LINE_EVERY_S = 30.0
-"""How often a line is printed where there is no terminal for a bar."""
 
 SHIPPED = "shipped"
 DEVICES = ("auto", "cpu", "cuda")
@@ -176,7 +169,7 @@ def train(
             load_dataset(val, names) if val is not None else (),
         )
         _introduce(console, samples, sets, settings, out)
-        with _progress(console) as report, _stop_when_asked() as stop:
+        with progress(console) as report, stop_when_asked() as stop:
             weights = training.train(
                 samples, out, settings, sets=sets, resume=resume, report=report, stop=stop
             )
@@ -185,8 +178,7 @@ def train(
         if sets.val:
             scores = _evaluate(weights, sets.val, settings, out)
             result["evaluation"] = scores.as_json()
-            if not as_json:
-                print_report(console, scores)
+            _say_scores(console, scores)
         console.print(f"weights: {weights}; how it went: {out / 'loss.png'}", soft_wrap=True)
         if as_json:
             typer.echo(json.dumps(result, indent=1))
@@ -239,6 +231,26 @@ def _evaluate(
     return scores
 
 
+def _say_scores(console: Console, scores: Report) -> None:
+    """The whole in a few lines; `evaluate` prints all of it."""
+    rows = scores.rows[ALL]
+    found = rows[CANDIDATE]
+    precision = ", ".join(
+        f"{what} {row.ap50_95.value:.3f}"
+        for what, row in rows.items()
+        if what != CANDIDATE and row.ap50_95 is not None
+    )
+    console.print(
+        f"--val, {scores.pictures} pictures: recall of whole targets "
+        f"{share_text(found.recall, SHORT)} (95 %), false {found.false_per_picture:.4f} a picture; "
+        f"AP50-95 {precision}\nlook at val.png; for all numbers: "
+        "python -m detector_training evaluate RUN VAL --out REPORT",
+        soft_wrap=True,
+        markup=False,
+        highlight=False,
+    )
+
+
 def _place(device: str) -> Literal["cpu", "cuda"]:
     if device not in DEVICES:
         raise TrainingError(f"--device {device!r} is not one of {', '.join(DEVICES)}")
@@ -251,60 +263,3 @@ def _place(device: str) -> Literal["cpu", "cuda"]:
 def _advice() -> str:
     line = command_line()
     return f"stopped; go on with: {line}{'' if '--resume' in line else ' --resume'}"
-
-
-@contextmanager
-def _stop_when_asked() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C or SIGTERM came: the step is finished and saved; a second one acts at once."""
-    asked = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-
-    before = {s: signal.signal(s, note) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _progress(console: Console) -> Iterator[Callable[[training.Progress], None]]:
-    """A live bar on a terminal, else a line now and then; each score has a line of its own."""
-
-    def note(p: training.Progress) -> None:
-        if p.val is not None:
-            console.print(
-                f"{p.images} pictures seen: AP50-95 {p.val.ap50_95:.3f}  recall {p.val.recall:.3f}"
-                f"  false {p.val.false_per_picture:.4f} a picture",
-                soft_wrap=True,
-                highlight=False,
-            )
-
-    if not console.is_terminal:
-        last = time.monotonic()
-
-        def line(p: training.Progress) -> None:
-            nonlocal last
-            note(p)
-            if (now := time.monotonic()) - last >= LINE_EVERY_S:
-                last = now
-                console.print(
-                    f"{p.share:6.1%}  step {p.step}  pictures {p.images}  loss {p.loss:.3f}"
-                )
-
-        yield line
-        return
-    text = TextColumn("step {task.fields[step]}  loss {task.fields[loss]:.3f}")
-    with Progress(BarColumn(), text, TimeRemainingColumn(), console=console) as bar:
-        task = bar.add_task("", total=1.0, step=0, loss=float("nan"))
-
-        def move(p: training.Progress) -> None:
-            bar.update(task, completed=p.share, step=p.step, loss=p.loss)
-            note(p)
-
-        yield move

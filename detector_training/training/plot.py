@@ -13,7 +13,7 @@ from detector_training.training.validation import ValScore
 
 
 def plot_log(log: Path, out: Path, window: int = 50) -> None:
-    """Draw the columns of a training log, the losses smoothed over ``window`` steps.
+    """Draw the columns of a training log, the losses smoothed over at most ``window`` steps.
 
     Raises:
         DatasetError: the picture cannot be written.
@@ -28,13 +28,13 @@ def plot_log(log: Path, out: Path, window: int = 50) -> None:
     scored = [r for r in rows if r.get("val_ap50_95")]
     figure, axes = pyplot.subplots(1, 3 if scored else 2, figsize=(15 if scored else 10, 4))
     pictures = np.array([int(r["images"]) for r in rows])
+    n = max(min(window, len(rows) // 5), 1)
     for name in ("loss", "score_loss", "box_loss"):
         values = np.array([float(r[name]) for r in rows])
-        n = min(window, max(len(values), 1))
         if len(values):
             smooth = np.convolve(values, np.ones(n) / n, "valid")
             axes[0].plot(pictures[n - 1 :], smooth, label=name)
-    axes[0].set(xlabel="pictures seen", ylabel=f"mean of {window} steps", yscale="log")
+    axes[0].set(xlabel="pictures seen", ylabel=f"mean of {n} steps", yscale="log")
     axes[0].legend()
     axes[1].plot(pictures, [float(r["learning_rate"]) for r in rows])
     axes[1].set(xlabel="pictures seen", ylabel="learning rate")

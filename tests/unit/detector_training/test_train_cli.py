@@ -13,6 +13,7 @@ import typer
 from typer.testing import CliRunner
 
 from detector_training.commands import evaluate, train
+from detector_training.commands.train_shell import stop_when_asked
 from detector_training.training import batches
 from edge_service.detector.weights import DEFAULT_WEIGHTS, load_weights
 from tests.unit.detector_training.tiny import write_tiny
@@ -61,6 +62,7 @@ def test_train_leaves_a_run_with_weights_plot_and_scores(data, tmp_path):
     }
     assert json.loads((out / "evaluation.json").read_text())["pictures"] == 4
     assert "4 pictures to train on" in result.output
+    assert "recall of whole targets" in result.output
 
 
 def test_evaluate_prints_json_with_levels_and_conditions(data):
@@ -144,7 +146,7 @@ def _no_picture(source):
 def test_a_second_signal_stops_at_once():
     """The first asks for the end of the step; the handlers are put back."""
     before = signal.getsignal(signal.SIGINT)
-    with train._stop_when_asked() as stop:
+    with stop_when_asked() as stop:
         assert not stop()
         signal.raise_signal(signal.SIGTERM)
         assert stop()
