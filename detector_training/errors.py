@@ -7,6 +7,7 @@
     ├── SceneError         a request for scenes that cannot be met
     ├── DatasetError       a data set folder that is missing or malformed
     ├── ExportError        an export that says something else than the net
+    ├── NotFiniteError     a loss or a gradient that is no number
     ├── TargetPrintError   a target that cannot be printed as asked
     └── EvaluationError    an evaluation asked for with numbers or files that give none
 """
@@ -40,3 +41,7 @@ class EvaluationError(TrainingError):
 
 class ExportError(TrainingError):
     """An export cannot be made, or says something else than the net."""
+
+
+class NotFiniteError(TrainingError):
+    """A loss or a gradient is no number; the net is as it was before the step."""

@@ -25,7 +25,7 @@ from detector_training.training import loop as training
 from detector_training.training import settings as defaults
 from detector_training.training.pictures import draw_finds
 from detector_training.training.plot import plot_log
-from detector_training.training.summary import summarise
+from detector_training.training.summary import count_boxes, summarise
 from edge_service.detector.engine import TorchDetector
 from edge_service.detector.files import DEFAULT_WEIGHTS
 from edge_service.detector.threads import available_cpus
@@ -194,8 +194,8 @@ def _introduce(
     """Say what will be done, before it takes its time."""
     summary = summarise(samples)
     console.print(str(summary), soft_wrap=True, markup=False)
-    taught = summarise(sets.mixed).missing if sets.mixed else tuple(summary.boxes)
-    if unlearned := set(summary.missing) & set(taught):
+    elsewhere = count_boxes(sets.mixed).missing
+    if unlearned := set(summary.missing) & set(elsewhere):
         console.print(
             f"warning: no box of {', '.join(sorted(unlearned))}: the net will not know that level; "
             "label it" + (", or --mix scenes that show it" if sets.start is not None else ""),

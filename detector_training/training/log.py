@@ -29,12 +29,17 @@ def trim_log(path: Path, step: int) -> None:
     """Drop the lines after the checkpoint: those steps will be done again.
 
     Raises:
-        DatasetError: it cannot be written.
+        TrainingError: it cannot be written, or is no log of a run.
     """
     rows: list[dict[str, str]] = []
     if path.exists():
-        with path.open(newline="") as file:
-            rows = [r for r in csv.DictReader(file) if r["loss"] and int(r["step"]) <= step]
+        try:
+            with path.open(newline="") as file:
+                rows = [r for r in csv.DictReader(file) if r["loss"] and int(r["step"]) <= step]
+        except (OSError, KeyError, ValueError, TypeError, csv.Error) as error:
+            raise TrainingError(
+                f"{path} is no log of a run ({type(error).__name__}: {error}); name another folder"
+            ) from None
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, LOG_FIELDS, extrasaction="ignore", restval="")
     writer.writeheader()

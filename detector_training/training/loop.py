@@ -14,7 +14,7 @@ import torch
 
 from detector_training.datasets.sample import Sample
 from detector_training.datasets.sheet import write_png
-from detector_training.errors import DatasetError, TrainingError
+from detector_training.errors import DatasetError, NotFiniteError, TrainingError
 from detector_training.training.batches import Batch, BatchSource, prefetched
 from detector_training.training.checkpoint import load_checkpoint, save_checkpoint
 from detector_training.training.gradient import Gradient, InOnePiece
@@ -24,12 +24,7 @@ from detector_training.training.pictures import draw_crops
 from detector_training.training.replicas import Replicas
 from detector_training.training.settings import WARM_UP_STEPS, TrainSettings
 from detector_training.training.state import State, fresh_state
-from detector_training.training.step import (
-    NotFiniteError,
-    schedule,
-    train_step,
-    update_average,
-)
+from detector_training.training.step import schedule, train_step, update_average
 from detector_training.training.summary import fingerprint, summarise
 from detector_training.training.validation import Validation, ValScore
 from edge_service.detector.net import TargetNet
@@ -53,7 +48,6 @@ __all__ = [
     "LOG_FIELDS",
     "WARM_UP_STEPS",
     "WEIGHTS",
-    "NotFiniteError",
     "Progress",
     "Sets",
     "TrainSettings",

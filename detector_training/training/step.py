@@ -7,7 +7,7 @@ import math
 import torch
 from torch import nn
 
-from detector_training.errors import TrainingError
+from detector_training.errors import NotFiniteError
 from detector_training.training.batches import Batch
 from detector_training.training.gradient import Gradient
 from detector_training.training.loss import Loss
@@ -18,10 +18,6 @@ FINAL_RATE = 0.02
 """Learning rate at the end, as a share of the highest."""
 AVERAGE_DECAY = 0.998
 GRADIENT_LIMIT = 10.0
-
-
-class NotFiniteError(TrainingError):
-    """A loss or a gradient is no number; the net is as it was before the step."""
 
 
 def schedule(share: float, step: int, warm_up_steps: int = WARM_UP_STEPS) -> float:

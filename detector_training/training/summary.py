@@ -40,12 +40,8 @@ class Summary:
         )
 
 
-def summarise(samples: Sequence[Sample]) -> Summary:
-    """Count what is taught; no picture is read.
-
-    Raises:
-        TrainingError: no box counts, so that nothing can be learned.
-    """
+def count_boxes(samples: Sequence[Sample]) -> Summary:
+    """Count what is taught; no picture is read."""
     boxes = dict.fromkeys(CLASSES, 0)
     ignored = 0
     for sample in samples:
@@ -54,13 +50,23 @@ def summarise(samples: Sequence[Sample]) -> Summary:
         ignored += int((~taught).sum())
         for index in sample.classes[taught].tolist():
             boxes[CLASSES[index]] += 1
-    if not any(boxes.values()):
+    return Summary(len(samples), sum(not len(s.boxes) for s in samples), boxes, ignored)
+
+
+def summarise(samples: Sequence[Sample]) -> Summary:
+    """The same of a training set.
+
+    Raises:
+        TrainingError: no box counts, so that nothing can be learned.
+    """
+    summary = count_boxes(samples)
+    if not any(summary.boxes.values()):
         raise TrainingError(
-            f"no box to learn from in {len(samples)} pictures ({ignored} are narrower than "
+            f"no box to learn from in {len(samples)} pictures ({summary.ignored} are narrower than "
             f"{MIN_SIDE_PX / MAX_SCALE:.1f} px or less than {MIN_VISIBLE:.0%} visible); "
             "look at them with `dataset check --sheet`"
         )
-    return Summary(len(samples), sum(not len(s.boxes) for s in samples), boxes, ignored)
+    return summary
 
 
 def fingerprint(samples: Sequence[Sample]) -> str:

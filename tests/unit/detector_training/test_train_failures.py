@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from detector_training.datasets.sample import load_dataset
-from detector_training.errors import DatasetError, TrainingError
+from detector_training.errors import DatasetError, NotFiniteError, TrainingError
 from detector_training.training import loop
 from detector_training.training.loop import (
     CHECKPOINT,
     LAST,
-    NotFiniteError,
+    LOG,
     Sets,
     TrainSettings,
     train,
@@ -127,3 +127,11 @@ def test_a_full_disk_is_one_line_and_leaves_no_part(samples, tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_log_of_something_else_is_named(samples, tmp_path):
+    """It is not trimmed to nothing."""
+    (tmp_path / LOG).write_text("time,value\n1,2\n")
+    with pytest.raises(TrainingError, match=r"log\.csv"):
+        train(samples, tmp_path, TrainSettings(epochs=1, **TINY))
+    assert (tmp_path / LOG).read_text() == "time,value\n1,2\n"
