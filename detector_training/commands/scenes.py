@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 from detector_training.backgrounds import Split, advice, find_backgrounds, of_split
 from detector_training.commands.shell import command_line, console
 from detector_training.scenes import DatasetRequest, write_dataset
+from detector_training.scenes.depth import DepthSensor
 from detector_training.scenes.recipe import Recipe
 from detector_training.scenes.recording import FRAMES, RATE_HZ, write_recording
 from target_pose.target import DEFAULT_TARGET, load_target
@@ -48,6 +49,10 @@ def scenes(
         Recipe,
         typer.Option(help="What the pictures shall show; mixed: all of it, as training wants it."),
     ] = Recipe.MIXED,
+    depth: Annotated[
+        DepthSensor,
+        typer.Option(help="d455: also depth/NNNNNN.png, noisy; a tenth of them show nothing."),
+    ] = DepthSensor.NONE,
     backgrounds: Backgrounds = None,
     package_root: PackageRoot = Path("/"),
     target: Annotated[
@@ -60,7 +65,8 @@ def scenes(
     """Render labelled 640x480 pictures of the target, and look-alikes without it.
 
     OUT gets images/NNNNNN.jpg, labels.jsonl (one JSON object a picture), dataset.json (seed,
-    command, backgrounds) and contact_sheet.png, which is worth a look.
+    command, backgrounds) and contact_sheet.png, which is worth a look. With --depth d455 each label
+    also says the camera and the true camera_from_target, and the pictures stay the same.
 
     Example: python -m detector_training scenes runs/train --count 6000 --seed 1 --split train
     """
@@ -68,7 +74,7 @@ def scenes(
     if line := advice(found):
         console.print(line, style="yellow", soft_wrap=True)
     load_target(target)
-    request = DatasetRequest(count, seed, split, target, of_split(found, split), recipe)
+    request = DatasetRequest(count, seed, split, target, of_split(found, split), recipe, depth)
     columns = (BarColumn(), MofNCompleteColumn(), "pictures", TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
         task = progress.add_task("scenes", total=count)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from detector_training.backgrounds import Background, Kind, load_rgb
 from detector_training.scenes.image import LinearImage, linear_from_srgb
@@ -33,25 +34,39 @@ class Library:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Backdrop:
+    """What is seen behind everything else."""
+
+    image: LinearImage  # (H, W, 3)
+    depth_m: NDArray[np.float32] | None  # (H, W)
+    """Along the optical axis, of a room; nobody knows that of a picture."""
+    flat: bool
+    """Whether it is one wall, seen head-on."""
+
+
 def random_backdrop(
     rng: np.random.Generator, library: Library, camera: CameraIntrinsics
-) -> LinearImage:
-    """A backdrop (H, W, 3) of the camera's size, in linear light."""
+) -> Backdrop:
+    """A backdrop of the camera's size, in linear light."""
+    depth: NDArray[np.float32] | None = None
     kind = rng.choice(["photo", "room", "wall"], p=[0.45, 0.4, 0.15])
+    flat = kind == "wall"
     if kind == "photo" and library.photos:
         image = _photo(rng, library.photos, camera.width, camera.height)
-    elif kind == "wall":
+    elif flat:
         side = max(camera.width, camera.height)
         wall = np.asarray(cv2.resize(random_wall(rng, library), (side, side)))
         image = np.ascontiguousarray(wall[: camera.height, : camera.width])
     else:
         surfaces = tuple(random_wall(rng, library) for _ in range(int(rng.integers(3, 8))))
         room = random_room(rng, surfaces)
-        image, _, _ = render(room, camera, random_view(rng, room))
+        image, _, hits = render(room, camera, random_view(rng, room))
+        depth = hits.depth_m
     if rng.random() < 0.08:
         grey = image.mean(-1, keepdims=True)
         image = np.repeat(grey, 3, axis=-1)
-    return image
+    return Backdrop(image, depth, bool(flat))
 
 
 def random_wall(rng: np.random.Generator, library: Library) -> Surface:

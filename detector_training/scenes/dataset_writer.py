@@ -17,11 +17,13 @@ from detector_training.backgrounds import Background, Split, licence_of
 from detector_training.errors import DatasetError, SceneError
 from detector_training.scenes.backdrop import Library
 from detector_training.scenes.contact_sheet import contact_sheet
+from detector_training.scenes.depth import DepthSensor, depth_of, description, png_of
 from detector_training.scenes.generator import generate
 from detector_training.scenes.recipe import Recipe
 from target_pose.target import load_target
 
 MAX_COUNT = 1_000_000
+IMAGES, DEPTH = "images", "depth"
 LABELS = "labels.jsonl"
 DESCRIPTION = "dataset.json"
 CONTACT_SHEET = "contact_sheet.png"
@@ -44,6 +46,8 @@ class DatasetRequest:
     backgrounds: tuple[Background, ...]
     """Of this split."""
     recipe: Recipe = Recipe.MIXED
+    depth: DepthSensor = DepthSensor.NONE
+    """The pictures are the same with it and without."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.count <= MAX_COUNT:
@@ -55,7 +59,7 @@ class DatasetRequest:
 @dataclass(frozen=True, slots=True)
 class _Worker:
     request: DatasetRequest
-    images: Path
+    out: Path
 
     def __call__(self, index: int) -> dict[str, Any]:
         r = self.request
@@ -63,8 +67,13 @@ class _Worker:
         seed = (r.seed, _SPLIT_SEED[r.split], list(Recipe).index(r.recipe), index)
         scene = generate(seed, library, load_target(r.target), r.recipe)
         name = f"{index:06d}.jpg"
-        (self.images / name).write_bytes(scene.jpeg)
-        return scene.label(f"images/{name}")
+        (self.out / IMAGES / name).write_bytes(scene.jpeg)
+        label = scene.label(f"{IMAGES}/{name}")
+        if r.depth is DepthSensor.NONE:
+            return label
+        path = f"{DEPTH}/{index:06d}.png"
+        (self.out / path).write_bytes(png_of(depth_of(seed, scene.geometry)))
+        return label | {"depth": path} | scene.view()
 
 
 def write_dataset(
@@ -94,9 +103,8 @@ def write_dataset(
     """
     if not 1 <= jobs <= 256:
         raise SceneError(f"--jobs {jobs}: give 1 to 256 processes")
-    images = out / "images"
-    _make_room(out, images, overwrite)
-    worker = _Worker(request, images)
+    _make_room(out, request.depth, overwrite)
+    worker = _Worker(request, out)
     labels = []
     with (out / f"{LABELS}.part").open("w", encoding="utf-8") as file:
         for label in _run(worker, request.count, jobs):
@@ -110,12 +118,14 @@ def write_dataset(
     return description
 
 
-def _make_room(out: Path, images: Path, overwrite: bool) -> None:
+def _make_room(out: Path, depth: DepthSensor, overwrite: bool) -> None:
     if (out / LABELS).exists() and not overwrite:
         raise DatasetError(f"{out} holds a data set already; name another folder or --overwrite")
     try:
-        images.mkdir(parents=True, exist_ok=True)
-        for old in (*images.glob("*.jpg"), out / LABELS):
+        (out / IMAGES).mkdir(parents=True, exist_ok=True)
+        if depth is not DepthSensor.NONE:
+            (out / DEPTH).mkdir(exist_ok=True)
+        for old in (*out.glob(f"{IMAGES}/*.jpg"), *out.glob(f"{DEPTH}/*.png"), out / LABELS):
             old.unlink(missing_ok=True)
     except OSError as error:
         raise DatasetError(f"cannot write to {out}: {error.strerror}") from None
@@ -152,6 +162,7 @@ def _describe(
         "split": str(request.split),
         "recipe": str(request.recipe),
         "target": request.target,
+        "depth": None if request.depth is DepthSensor.NONE else description(),
         "count": request.count,
         "kinds": dict(sorted(kinds.items())),
         "recipes": dict(sorted(recipes.items())),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from detector_training.scenes import light, occluders, sensor
 from detector_training.scenes.backdrop import Library, random_backdrop
+from detector_training.scenes.geometry import Flat, Geometry
 from detector_training.scenes.hang import Board, hang_lookalike, hang_target, hang_wall
 from detector_training.scenes.image import LinearImage, Mask
 from detector_training.scenes.labels import LabelledBox, label_boxes
@@ -39,6 +40,7 @@ class Scene:
     """Empty for a negative."""
     camera: CameraIntrinsics
     camera_from_target: Pose | None
+    geometry: Geometry
 
     def label(self, image: str) -> dict[str, Any]:
         """The line of ``labels.jsonl`` for the picture stored as ``image``."""
@@ -63,6 +65,17 @@ class Scene:
             ],
         }
 
+    def view(self) -> dict[str, Any]:
+        """What a label needs beside its depth picture: the camera, and where the target truly is.
+
+        ``camera_from_target`` is a 4x4 matrix; target frame: x out of the board, z up along it.
+        """
+        c, pose = self.camera, self.camera_from_target
+        return {
+            "camera": {"fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy},
+            "camera_from_target": None if pose is None else pose.matrix.round(9).tolist(),
+        }
+
 
 def generate(
     seed: tuple[int, ...],
@@ -83,7 +96,8 @@ def generate(
     rng = np.random.default_rng(seed)
     recipe, plan = choose_plan(rng, recipe)
     camera = random_camera(rng)
-    image = random_backdrop(rng, library, camera).copy()
+    backdrop = random_backdrop(rng, library, camera)
+    image = backdrop.image.copy()
     conditions: list[str] = []
     pose: Pose | None = None
     if rng.random() >= plan.negative:
@@ -92,23 +106,28 @@ def generate(
     shading = light.shading(rng, camera.height, camera.width)
     if rng.random() < 0.4:
         image *= shading[..., None]
-    _hang_lookalikes(rng, image, library, target, camera, pose, shading, plan, conditions)
+    wall, lookalikes = _hang_lookalikes(
+        rng, image, library, target, camera, pose, shading, plan, conditions
+    )
+    hung: Flat | None = None
     relief: Relief | None = None
     if pose is not None:
         if rng.random() < plan.relief:
             relief = random_relief(rng, target.board_side_m)
-        hang_target(
+        hung = hang_target(
             rng, image, library, target, camera, pose, shading, plan, relief, board, conditions
         )
     if rng.random() < plan.shadow:
         image *= light.cast_shadow(rng, camera.height, camera.width)[..., None]
         conditions.append("shadow")
-    hidden = _occlude(rng, image, library, target, camera, pose, plan, conditions)
+    covers = _occlude(rng, image, library, target, camera, pose, plan, conditions)
     if rng.random() < plan.flare:
         light.flare(rng, image)
         conditions.append("flare")
     rgb = _photograph(rng, image, _disc_px(target, camera, pose), plan, conditions)
-    boxes = () if pose is None else label_boxes(target, camera, pose, hidden, relief)
+    boxes = (
+        () if pose is None else label_boxes(target, camera, pose, _hidden(covers, camera), relief)
+    )
     if boxes and pose is not None:
         _note_view(conditions, boxes, pose)
     quality = int(rng.integers(plan.quality[0], plan.quality[1] + 1))
@@ -121,6 +140,7 @@ def generate(
         boxes,
         camera,
         pose if boxes else None,
+        Geometry(camera, backdrop.depth_m, backdrop.flat, wall, lookalikes, hung, relief, covers),
     )
 
 
@@ -134,18 +154,19 @@ def _hang_lookalikes(
     shading: Mask,
     plan: Plan,
     conditions: list[str],
-) -> None:
-    """The wall behind the target and what hangs beside it, in place."""
+) -> tuple[Flat | None, tuple[Flat, ...]]:
+    """Hang the wall behind the target and what is beside it, in place; gives where they are."""
+    wall: Flat | None = None
     count = int(rng.poisson(plan.lookalikes if pose is not None else plan.lookalikes_alone))
     if pose is None:
         count = max(count, plan.lookalikes_least)
     elif rng.random() < plan.wall:
-        hang_wall(rng, image, library, camera, pose, shading)
+        wall = hang_wall(rng, image, library, camera, pose, shading)
         conditions.append("wall")
-    for _ in range(count):
-        hang_lookalike(rng, image, target, camera, shading)
+    things = [hang_lookalike(rng, image, target, camera, shading) for _ in range(count)]
     if count:
         conditions.append("lookalike")
+    return wall, tuple(thing for thing in things if thing is not None)
 
 
 def _occlude(
@@ -157,10 +178,9 @@ def _occlude(
     pose: Pose | None,
     plan: Plan,
     conditions: list[str],
-) -> Mask:
-    """Put things in front, in place; gives how much of each pixel (H, W) they hide."""
+) -> tuple[Mask, ...]:
+    """Put things in front, in place; gives how much of each pixel (H, W) each of them hides."""
     shape = (camera.height, camera.width)
-    hidden = np.zeros(shape, dtype=np.float32)
     things = []
     if rng.random() < plan.occluder:
         if pose is None:
@@ -177,7 +197,14 @@ def _occlude(
         colour = thing.colour * (level / max(float(thing.colour[::8, ::8].mean()), 0.02))
         cover = thing.cover[..., None]
         image += cover * (colour - image)
-        hidden += (1 - hidden) * thing.cover
+    return tuple(thing.cover for thing in things)
+
+
+def _hidden(covers: tuple[Mask, ...], camera: CameraIntrinsics) -> Mask:
+    """How much of each pixel (H, W) things in front hide together."""
+    hidden = np.zeros((camera.height, camera.width), dtype=np.float32)
+    for cover in covers:
+        hidden += (1 - hidden) * cover
     return hidden
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from detector_training.scenes import light
 from detector_training.scenes.backdrop import Library, random_patch, random_wall
+from detector_training.scenes.geometry import Flat
 from detector_training.scenes.image import LinearImage, Mask
 from detector_training.scenes.lookalikes import random_lookalike
 from detector_training.scenes.placement import Placement, random_placement
@@ -44,8 +45,12 @@ def hang_target(
     relief: Relief | None,
     board: Board | None,
     conditions: list[str],
-) -> None:
-    """Lay the target over the picture in place, worn, lit and mirrored as the plan has it."""
+) -> Flat | None:
+    """Lay the target over the picture in place, worn, lit and mirrored as the plan has it.
+
+    Returns:
+        Where it hangs; None when nothing of it falls in the picture.
+    """
     h = image_from_board(camera, pose)
     side = target.board_side_m
     paint, texels = random_paint(rng), texture_side_px(h, side)
@@ -62,7 +67,7 @@ def hang_target(
         conditions.append("distortion")
     layer = warp(texture, side, h, camera.width, camera.height)
     if layer is None:
-        return
+        return None
     box = square_box(h, target.board_side_m)
     if rng.random() < 0.4:
         _contact_shadow(rng, image, layer, box)
@@ -80,6 +85,7 @@ def hang_target(
         image[rows, columns] += np.float32(strength) * layer.alpha[..., None] * room * lamp
         if strength > 0.15:
             conditions.append("glossy")
+    return Flat(pose, layer)
 
 
 def _contact_shadow(
@@ -107,8 +113,8 @@ def hang_wall(
     camera: CameraIntrinsics,
     pose: Pose,
     shading: Mask,
-) -> None:
-    """A wall or a panel in the target's plane, behind it."""
+) -> Flat | None:
+    """A wall or a panel in the target's plane, behind it; None when it is not in the picture."""
     side = float(np.exp(rng.uniform(np.log(0.5), np.log(4.0))))
     offset = rng.uniform(-0.5, 0.5, 2) * max(0.0, side - 0.45)
     moved = Pose(
@@ -116,12 +122,14 @@ def hang_wall(
         pose.q_wxyz,
     )
     if not is_in_front(moved, side):
-        return
+        return None
     texture = with_alpha(random_wall(rng, library))
     layer = warp(texture, side, image_from_board(camera, moved), camera.width, camera.height)
-    if layer is not None:
-        lamp = light.light_of_backdrop(rng, image, (0, 0, camera.width, camera.height))
-        paste(image, layer, lamp * shading[layer.window][..., None])
+    if layer is None:
+        return None
+    lamp = light.light_of_backdrop(rng, image, (0, 0, camera.width, camera.height))
+    paste(image, layer, lamp * shading[layer.window][..., None])
+    return Flat(moved, layer)
 
 
 def hang_lookalike(
@@ -130,8 +138,8 @@ def hang_lookalike(
     target: Target,
     camera: CameraIntrinsics,
     shading: Mask,
-) -> None:
-    """Something that is not the target, anywhere."""
+) -> Flat | None:
+    """Something that is not the target, anywhere; None when it is not in the picture."""
     side = target.board_side_m
     pose = random_placement(rng, camera, side, Placement(LOOKALIKE_PX, cut=0.15, any_roll=0.1))
     h = image_from_board(camera, pose)
@@ -141,6 +149,8 @@ def hang_lookalike(
         wear(rng, worn, rng.uniform(0.1, 0.8))
         texture[..., :3] = np.clip(worn, 0, 1) * texture[..., 3:]
     layer = warp(texture, side, h, camera.width, camera.height)
-    if layer is not None:
-        lamp = light.light_of_backdrop(rng, image, square_box(h, side))
-        paste(image, layer, lamp * shading[layer.window][..., None])
+    if layer is None:
+        return None
+    lamp = light.light_of_backdrop(rng, image, square_box(h, side))
+    paste(image, layer, lamp * shading[layer.window][..., None])
+    return Flat(pose, layer)

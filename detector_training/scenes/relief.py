@@ -66,10 +66,7 @@ def shifted(
     coarse = max(33, min(m, 97))
     c = (np.arange(coarse) + 0.5) / coarse - 0.5
     seen = np.stack(np.meshgrid(c, -c), -1) * GROWTH * side_m  # (y, z) of columns and rows
-    eye = camera_from_target.inverse().translation
-    sheet = seen.copy()
-    for _ in range(_STEPS):
-        sheet += 0.8 * (seen - _seen_at(relief.surface(sheet), eye))
+    sheet = sheet_of(relief, seen, camera_from_target.inverse().translation)
     shade = _shade(relief, sheet)
     column = (sheet[..., 0] / side_m + 0.5) * n - 0.5
     row = (0.5 - sheet[..., 1] / side_m) * n - 0.5
@@ -78,6 +75,20 @@ def shifted(
     moved = cv2.remap(texture, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     moved[..., :3] *= maps[2][..., None]
     return np.asarray(moved)
+
+
+def sheet_of(relief: Relief, seen: Array, eye: Array) -> Array:
+    """Which points (..., 2) of the sheet are seen in front of points (..., 2) of the plane.
+
+    Args:
+        relief: the shape of the sheet.
+        seen: where the lines of sight meet the plane x = 0, as (y, z) [m].
+        eye: (3,), in the target's frame [m].
+    """
+    sheet = seen.copy()
+    for _ in range(_STEPS):
+        sheet += 0.8 * (seen - _seen_at(relief.surface(sheet), eye))
+    return sheet
 
 
 def _seen_at(points: Array, eye: Array) -> Array:
