@@ -33,6 +33,9 @@ picture; in proportion for smaller ones (20 000 projected poses stay inside)."""
 CUT_SLACK = 2.5
 """All slack grows by this along an axis on which the border cuts a box: the net has to guess."""
 
+EXPECTED_PX = 8.0
+"""A level of fewer pixels need not be found."""
+
 MIN_SCORE = 0.35
 """Least score of a candidate: two levels of 0.53, or three of 0.35 (on generated scenes this drops
 two of three false ones and one of twenty true ones)."""
@@ -60,8 +63,7 @@ def group(
     size = (color_rgb.shape[1], color_rgb.shape[0])
     boxes = {level: detections.boxes.get(level, ())[:MAX_BOXES] for level in Level}
     proposals = [
-        Candidate(chosen, sum(b.score for b in chosen.values()) / len(Level))
-        for chosen in _combinations(boxes, target, size)
+        Candidate(chosen, _score(chosen, target)) for chosen in _combinations(boxes, target, size)
     ]
     proposals = [c for c in proposals if c.score >= MIN_SCORE]
     # More levels first: three boxes of a target outweigh any two of them
@@ -128,6 +130,17 @@ def _combinations(
         partial += grown
     named = ({level: boxes[level][k] for level, k in chosen.items()} for chosen in partial)
     return [chosen for chosen in named if len(chosen) > 1]
+
+
+def _score(boxes: dict[Level, Box], target: Target) -> float:
+    """Mean score of the levels that are there to be found; a missing one counts as zero.
+
+    From afar the innermost disc is a few pixels, and its absence says nothing.
+    """
+    outermost = next(level for level in Level if level in boxes)
+    px_per_m = max(boxes[outermost].size_px) / target.level_m[outermost]
+    expected = [k for k in Level if k in boxes or target.level_m[k] * px_per_m >= EXPECTED_PX]
+    return sum(b.score for b in boxes.values()) / len(expected)
 
 
 def _same_place(candidate: Candidate, better: Candidate) -> bool:

@@ -143,6 +143,15 @@ def test_three_doubtful_boxes_are_no_target(score, accepted):
     assert len(group(_detections(doubtful), TARGET, picture)) == accepted
 
 
+@pytest.mark.parametrize(("scale", "counted"), [(0.15, 2), (0.25, 3)])
+def test_a_disc_too_small_to_be_seen_is_not_missed(scale, counted):
+    """Without the inner disc the score is the mean of two where that disc is under 8 px."""
+    boxes, picture = _head_on(scale)
+    del boxes[Level.BEST]
+    (found,) = group(_detections(boxes), TARGET, picture)
+    assert found.score == pytest.approx(1.6 / counted)
+
+
 @pytest.mark.parametrize("scale", [1.0, 0.3, 0.15])
 def test_an_inverted_target_is_rejected(scale):
     """White where it should be black, at any size: no target."""
