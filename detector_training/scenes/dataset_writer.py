@@ -119,16 +119,24 @@ def write_dataset(
 
 
 def _make_room(out: Path, depth: DepthSensor, overwrite: bool) -> None:
-    if (out / LABELS).exists() and not overwrite:
-        raise DatasetError(f"{out} holds a data set already; name another folder or --overwrite")
+    if not overwrite and ((out / LABELS).exists() or any(_ours(out))):
+        raise DatasetError(
+            f"{out} holds a data set already, or a part of one; name another folder or --overwrite"
+        )
     try:
         (out / IMAGES).mkdir(parents=True, exist_ok=True)
         if depth is not DepthSensor.NONE:
             (out / DEPTH).mkdir(exist_ok=True)
-        for old in (*out.glob(f"{IMAGES}/*.jpg"), *out.glob(f"{DEPTH}/*.png"), out / LABELS):
+        for old in (*_ours(out), out / LABELS):
             old.unlink(missing_ok=True)
     except OSError as error:
         raise DatasetError(f"cannot write to {out}: {error.strerror}") from None
+
+
+def _ours(out: Path) -> Iterator[Path]:
+    """Pictures by the names that this writer gives; whatever else lies there is the user's."""
+    for pattern in (f"{IMAGES}/*.jpg", f"{DEPTH}/*.png"):
+        yield from (p for p in out.glob(pattern) if len(p.stem) == 6 and p.stem.isdigit())
 
 
 def _run(worker: _Worker, count: int, jobs: int) -> Iterator[dict[str, Any]]:

@@ -56,6 +56,18 @@ def test_processes_do_not_change_the_data(tmp_path):
     assert read(tmp_path / "val")[1][0] != read(tmp_path / "one")[1][0]
 
 
+def test_pictures_of_the_users_own_stay(tmp_path):
+    """Not even --overwrite takes what another program put there; a part of a data set is told."""
+    (tmp_path / "images").mkdir()
+    mine = tmp_path / "images" / "holiday.jpg"
+    mine.write_bytes(b"mine")
+    write_dataset(tmp_path, request(1), "", overwrite=True)
+    assert mine.read_bytes() == b"mine"
+    (tmp_path / "labels.jsonl").unlink()
+    with pytest.raises(DatasetError, match="a part of one"):
+        write_dataset(tmp_path, request(1), "")
+
+
 def test_a_data_set_is_replaced_only_when_asked(tmp_path):
     """The second run refuses, with --overwrite it leaves nothing of the first behind."""
     write_dataset(tmp_path, request(3), "")
