@@ -43,3 +43,4 @@ class Candidate:
     boxes: dict[Level, Box]
     """At least one level; a far or cut target may lack some."""
     score: float
+    """What the net and the check of the rings say together, in [0, 1]."""

@@ -18,7 +18,7 @@ from edge_service.detector.net import NetConfig, TargetNet
 from edge_service.errors import WeightsError
 from target_pose.target import Level
 
-VERSION = "1"
+VERSION = "2"
 MAX_WEIGHTS_BYTES = 10_000_000
 MIN_WIDTH, MAX_WIDTH = 4, 64
 __all__ = [

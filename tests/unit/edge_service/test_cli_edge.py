@@ -65,7 +65,7 @@ def test_localize_says_where_the_target_is(run, files):
     assert (code, err) == (0, "")
     assert re.search(r"distance +1\.50\d m", out)
     assert re.search(r"position +\+0\.0[45]\d\d -0\.0[23]\d\d \+1\.[45]\d\d\d m in camera", out)
-    assert re.search(r"method +fused, roll by \w+, score 0\.90", out)
+    assert re.search(r"method +fused, roll by \w+, score 0\.92", out)
     assert re.search(r"time +detect [\d.]+, nest [\d.]+, localise [\d.]+ ms", out)
 
 

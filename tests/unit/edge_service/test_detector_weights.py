@@ -21,7 +21,7 @@ from edge_service.errors import WeightsError
 CLASSES = ("T_good", "T_better", "T_best")
 METADATA = {
     "format": "aerial-contact-detector",
-    "version": "1",
+    "version": "2",
     "classes": "T_good,T_better,T_best",
     "width": "4",
     "target": "bullseye-400",

@@ -143,7 +143,7 @@ def with_candidates(n, answers, calls, **options):
     return replace(pipeline(**options), group=group, localise=scripted(answers, calls)), nested
 
 
-SCORES = (0.9, 0.8, 0.7, 0.6)
+SCORES = (0.99, 0.95, 0.9, 0.85)
 
 
 def pose_of_scene():
