@@ -107,8 +107,9 @@ def _not_nested(
         outers = by_level[outer]
         for i in by_level[inner]:
             near = [o for o in outers if _share_centre(labels[o], labels[i])]
-            if not near and 0 < len(outers) >= len(by_level[inner]):
-                yield [i, *outers], f"{inner} {_shown(labels[i])} lies in no {outer}"
+            lonely = _without(outers, by_level[inner], labels, size)
+            if not near and lonely and len(outers) >= len(by_level[inner]):
+                yield [i, *lonely], f"{inner} {_shown(labels[i])} lies in no {outer}"
             elif near and not any(_fits(labels[o], labels[i], target, size) for o in near):
                 ratio = target.level_m[outer] / target.level_m[inner]
                 o = labels[near[0]]
@@ -117,6 +118,20 @@ def _not_nested(
                     f"{inner} {_shown(labels[i])} does not nest in {outer} {_shown(o)}: on "
                     f"{target.name} that is {ratio:.2f} times as large, around the same centre",
                 )
+
+
+def _without(
+    outers: Sequence[int], inners: Sequence[int], labels: Sequence[LabelBox], size: tuple[int, int]
+) -> list[int]:
+    """Outer boxes in which no inner one lies, though their centres are in the picture."""
+    return [
+        o
+        for o in outers
+        if not any(_share_centre(labels[o], labels[i]) for i in inners)
+        and all(
+            -0.5 <= (labels[o].xyxy[k] + labels[o].xyxy[k + 2]) / 2 <= size[k] - 0.5 for k in (0, 1)
+        )
+    ]
 
 
 def _fits(outer: LabelBox, inner: LabelBox, target: Target, size: tuple[int, int]) -> bool:

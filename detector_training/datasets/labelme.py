@@ -180,7 +180,7 @@ def _hull(raw: dict[str, Any]) -> Sequence[float]:
         (x, y), rim = points
         r = math.dist((x, y), rim)
         return x - r, y - r, x + r, y + r
-    if kind not in _HULLS:
+    if not isinstance(kind, str) or kind not in _HULLS:
         known = ", ".join(("circle", *_HULLS))
         raise DatasetError(f"a {shown(kind)} has no box; draw one of {known}")
     if len(points) < _HULLS[kind] or (kind == "rectangle" and len(points) != 2):

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from detector_training.datasets.check import Kind, check_sample
@@ -49,6 +49,7 @@ def findings(boxes, conditions=(), **kw):
     st.booleans(),
     st.sets(st.sampled_from(Level), min_size=1),
 )
+@example(0.0, 0.0, 316.0, True, {Level.BEST})  # the second one's inner discs lie outside
 def test_true_labels_are_left_alone(x, y, side, second, levels):
     """A target anywhere, over the border, with levels missing; two targets in one picture."""
     boxes = [b for b in nested(x, y, side) if b.level in levels]
