@@ -2,7 +2,8 @@
 
 Eager PyTorch packs each convolution's weights into oneDNN's blocks anew in every run, and walks
 over its output once more for the ReLU. Here both are done once, by the very kernels that it calls,
-so the numbers are the same: 28.3 -> 24.2 ms in fp32, 17.4 -> 14.1 ms in bf16 (640x480, 2 cores).
+so the numbers are the same. On a net of 71 convolutions: 28.3 -> 24.2 ms in fp32, 17.4 -> 14.1 ms
+in bf16 (640x480, 2 cores).
 """
 
 from __future__ import annotations
