@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 
@@ -90,7 +91,7 @@ def rendered(
     for name in ("images", "labels"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     worker = Worker(scenes, folder, backgrounds)
-    for done, _ in enumerate(_run(worker, scenes.count, jobs), 1):
+    for done, _ in enumerate(work_through(worker, scenes.count, jobs), 1):
         on_progress(done)
     lines = [(folder / f"labels/{k:06d}.json").read_text() + "\n" for k in range(scenes.count)]
     part = folder / "labels.jsonl.part"
@@ -117,7 +118,18 @@ def _key(scenes: SceneSet, backgrounds: tuple[Background, ...]) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
-def _run(worker: Worker, count: int, jobs: int) -> Iterator[None]:
+class PictureWorker(Protocol):
+    """Makes the picture of a number in ``folder``, unless it is there."""
+
+    folder: Path
+
+    def __call__(self, index: int) -> None:
+        """Make it."""
+        ...
+
+
+def work_through(worker: PictureWorker, count: int, jobs: int) -> Iterator[None]:
+    """All pictures in turn, by several processes where that is worth their start."""
     missing = sum(not (worker.folder / f"labels/{k:06d}.json").exists() for k in range(count))
     if jobs == 1 or missing < 2 * jobs:
         yield from map(worker, range(count))

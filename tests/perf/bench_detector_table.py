@@ -6,20 +6,11 @@ import platform
 from pathlib import Path
 from typing import Any
 
+from detector_training.datasets.conditions import PAPER_CONDITIONS
 from edge_service.detector.threads import available_cpus
 from tests.perf.bench_detector_prints import APRILTAG, ARUCO, OURS
 
 SPEED_GOALS_MS = {"torch": 15.0, "onnxruntime": 12.0, "openvino": 9.0}
-PAPER = (
-    "blur",
-    "low_light",
-    "obstruction",
-    "distortion",
-    "far",
-    "orientation",
-    "flare",
-    "close",
-)
 
 
 def machine() -> str:
@@ -92,7 +83,7 @@ def goals(result: dict[str, Any]) -> list[tuple[str, str, str, str]]:
         known = [
             (row["recall"]["value"], name)
             for name, row in recall["conditions"].items()
-            if name in PAPER and row["recall"]
+            if name in PAPER_CONDITIONS and row["recall"]
         ]
         for value, name in sorted(known)[:2]:
             least = 0.90 if (value, name) == min(known) else 0.95

@@ -12,16 +12,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,6 +38,7 @@ from edge_service.detector.files import DEFAULT_WEIGHTS
 from edge_service.detector.weights import load_weights
 from target_pose.target import DEFAULT_TARGET, load_target
 from tests.perf.bench_detector import progress
+from tests.perf.bench_detector_scenes import work_through
 
 STREAM = 5
 """Of chance; data sets have 1 to 3 for their split, the detector's bench 4."""
@@ -120,7 +118,7 @@ def rendered(place: Place, folder: Path, count: int, jobs: int) -> tuple[Sample,
     for name in ("images", "labels"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     with progress(f"render {folder.name}", count) as step:
-        for done, _ in enumerate(_run(Worker(place, folder), count, jobs), 1):
+        for done, _ in enumerate(work_through(Worker(place, folder), count, jobs), 1):
             step(done)
     lines = [(folder / f"labels/{k:06d}.json").read_text() + "\n" for k in range(count)]
     (folder / "labels.jsonl").write_text("".join(lines))
@@ -272,21 +270,6 @@ def main() -> None:
         print(json.dumps(result | {"rows": rows}, indent=1))
     else:
         print(table(result))
-
-
-def _run(worker: Worker, count: int, jobs: int) -> Iterator[None]:
-    missing = sum(not (worker.folder / f"labels/{k:06d}.json").exists() for k in range(count))
-    if jobs == 1 or missing < 2 * jobs:
-        yield from map(worker, range(count))
-        return
-    # spawn: a fork would copy the progress bar's thread and OpenCV's half-made pool
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread) as pool:
-        yield from pool.map(worker, range(count), chunksize=4)
-
-
-def _one_thread() -> None:
-    cv2.setNumThreads(1)
 
 
 if __name__ == "__main__":
