@@ -83,6 +83,7 @@ def generate(
     target: Target,
     recipe: Recipe = Recipe.MIXED,
     board: Board | None = None,
+    plan: Plan | None = None,
 ) -> Scene:
     """The scene of a seed; the same bytes for the same seed and background files.
 
@@ -92,16 +93,23 @@ def generate(
         target: what is to be found.
         recipe: what the picture shall show.
         board: draws another print in the target's place; pose, light and wear stay the same.
+        plan: what chance may do, in the place of the recipe's own plan.
+
+    Raises:
+        SceneError: the plan has no place for the target.
     """
     rng = np.random.default_rng(seed)
-    recipe, plan = choose_plan(rng, recipe)
-    camera = random_camera(rng)
+    if plan is None:
+        recipe, plan = choose_plan(rng, recipe)
+    camera = random_camera(rng) if plan.camera is None else plan.camera
     backdrop = random_backdrop(rng, library, camera)
     image = backdrop.image.copy()
     conditions: list[str] = []
     pose: Pose | None = None
     if rng.random() >= plan.negative:
-        where = Placement(plan.board_px, plan.distance_m, plan.tilt_deg, plan.cut, plan.any_roll)
+        where = Placement(
+            plan.board_px, plan.distance_m, plan.tilt_deg, plan.cut, plan.any_roll, plan.whole
+        )
         pose = random_placement(rng, camera, target.board_side_m, where)
     shading = light.shading(rng, camera.height, camera.width)
     if rng.random() < 0.4:

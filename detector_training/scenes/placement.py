@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detector_training.scenes.projection import is_in_front
+from detector_training.errors import SceneError
+from detector_training.scenes.projection import image_from_board, is_in_front, square_box
 from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.geometry import Pose, rotation_from_vector
 
 WIDTH_PX = 640
 HEIGHT_PX = 480
+MAX_TRIES = 10_000
 
 
 def random_camera(rng: np.random.Generator) -> CameraIntrinsics:
@@ -62,6 +64,8 @@ class Placement:
     """Probability that the border may cut it."""
     any_roll: float = 0.0
     """Probability of any roll; else the camera is about level."""
+    whole: bool = False
+    """Nothing lies outside the picture; needs boards that fit into it."""
 
 
 def random_placement(
@@ -74,8 +78,11 @@ def random_placement(
         camera: who looks.
         side_m: side of the board.
         where: what it is drawn from.
+
+    Raises:
+        SceneError: the places that are asked for seem to be none.
     """
-    while True:
+    for _ in range(MAX_TRIES):
         if where.distance_m is None:
             size = math.exp(rng.uniform(*np.log(where.board_px)))
         else:
@@ -90,8 +97,17 @@ def random_placement(
         level = rng.random() >= where.any_roll
         roll = rng.normal(0, math.radians(9)) if level else rng.uniform(-math.pi, math.pi)
         pose = facing(ray * distance, tilt, rng.uniform(0, 2 * math.pi), roll)
-        if is_in_front(pose, side_m):
+        if is_in_front(pose, side_m) and (not where.whole or _is_whole(camera, pose, side_m)):
             return pose
+    raise SceneError(
+        f"no place for a board of {side_m:g} m in {MAX_TRIES} tries; give smaller boards, longer "
+        "distances or less tilt"
+    )
+
+
+def _is_whole(camera: CameraIntrinsics, pose: Pose, side_m: float) -> bool:
+    x0, y0, x1, y1 = square_box(image_from_board(camera, pose), side_m)
+    return x0 >= 0 and y0 >= 0 and x1 <= camera.width - 1 and y1 <= camera.height - 1
 
 
 def _tilt_rad(rng: np.random.Generator, where: Placement) -> float:

@@ -11,6 +11,8 @@ from enum import StrEnum
 
 import numpy as np
 
+from rgbd_wire.camera import CameraIntrinsics
+
 
 class Recipe(StrEnum):
     """The kind of pictures to make."""
@@ -43,6 +45,8 @@ class Recipe(StrEnum):
 class Plan:
     """What chance may do with one picture; probabilities are in [0, 1]."""
 
+    camera: CameraIntrinsics | None = None
+    """Who looks; None: any of the common ones."""
     negative: float = 0.0
     """That there is no target."""
     board_px: tuple[float, float] = (14.0, 320.0)
@@ -51,6 +55,8 @@ class Plan:
     """... or its distance, uniform, when given."""
     cut: float = 0.0
     """That the border may cut the board."""
+    whole: bool = False
+    """Nothing of it lies outside the picture, however it is tilted; for a plan that cuts none."""
     tilt_deg: tuple[float, float] | None = None
     """Uniform between these; None: about normal with 28 degrees, at most 70."""
     any_roll: float = 0.1
@@ -76,7 +82,13 @@ class Plan:
     """Probability, and the longest smear as a share of the outer disc."""
     defocus: tuple[float, float] = (0.1, 0.04)
     """Probability, and the widest blur radius as a share of the outer disc."""
+    soft_px: tuple[float, float] = (0.3, 0.9)
+    """Sigma of the blur that a lens has at its best, uniform."""
     dark: float = 0.0
+    dark_stops: tuple[float, float] = (-3.8, -1.8)
+    """Exposure of a dark picture, uniform ..."""
+    dark_noise: float = 4.0
+    """... and by what it divides the electrons at white: light that lacks is made up by gain."""
     bright: float = 0.0
     stops: float = 0.6
     """Standard deviation of the exposure otherwise."""

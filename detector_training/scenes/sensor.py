@@ -62,7 +62,7 @@ def random_optics(
         image = blurred(image, disc_kernel(radius))
         if radius > max(0.04 * readable_px, 1.1):
             conditions.append("blur")
-    soft = rng.uniform(0.3, 0.9)
+    soft = rng.uniform(*plan.soft_px)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), soft))
 
 
@@ -74,7 +74,7 @@ def random_exposure(
     stops = rng.normal(0.0, plan.stops)
     kind = rng.random()
     if kind < plan.dark:
-        stops = rng.uniform(-3.8, -1.8)
+        stops = rng.uniform(*plan.dark_stops)
         conditions.append("low_light")
     elif kind < plan.dark + plan.bright:
         stops = rng.uniform(1.3, 2.8)
@@ -112,7 +112,8 @@ def develop(
     warmth = rng.normal(0, 0.12)
     balance = np.exp([warmth, rng.normal(0, 0.04), -warmth]).astype(np.float32)
     dark = "low_light" in conditions
-    full_well = float(np.exp(rng.uniform(*np.log(plan.full_well)))) / (4.0 if dark else 1.0)
+    full_well = float(np.exp(rng.uniform(*np.log(plan.full_well))))
+    full_well /= plan.dark_noise if dark else 1.0
     read = float(np.exp(rng.uniform(np.log(0.0005), np.log(0.01))))
     noisy = add_noise(rng, image * balance, full_well, read, rng.uniform(0, 0.8))
     if full_well < 800:

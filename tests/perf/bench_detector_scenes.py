@@ -113,9 +113,14 @@ def generator_version() -> str:
 
 def _key(scenes: SceneSet, backgrounds: tuple[Background, ...]) -> str:
     names = sorted(f"{b.source}/{b.path.name}" for b in backgrounds)
-    target = load_target(DEFAULT_TARGET)
-    parts = [generator_version(), str(scenes.seed), repr(target), *names]
+    parts = [generator_version(), str(scenes.seed), printed_shape(), *names]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+
+def printed_shape() -> str:
+    """What of the target's file the pictures and their labels show."""
+    t = load_target(DEFAULT_TARGET)
+    return repr((t.board_side_m, t.board_shade, t.discs, t.level_m))
 
 
 class PictureWorker(Protocol):

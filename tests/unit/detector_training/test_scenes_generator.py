@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from detector_training.scenes import Library, generate
 from detector_training.scenes.labels import label_boxes
 from detector_training.scenes.placement import facing
-from detector_training.scenes.recipe import Recipe
+from detector_training.scenes.recipe import PLANS, Recipe
 from rgbd_wire.camera import CameraIntrinsics
 from target_pose.target import Level, load_target
 
@@ -123,6 +124,33 @@ def test_a_recipe_gives_what_it_is_named_after(recipe):
             assert scene.label("x")["recipe"] == recipe.value
     if recipe in ("low_light", "flare", "distortion", "over_exposed", "orientation"):
         assert all(recipe.value in scene.conditions for scene in scenes)
+
+
+def test_a_plan_of_ones_own_takes_the_place_of_the_recipes():
+    """Camera, distance, tilt and light as it says; the name is the caller's."""
+    plan = replace(
+        PLANS[Recipe.NOMINAL],
+        camera=CAMERA,
+        distance_m=(1.2, 1.2),
+        tilt_deg=(50.0, 65.0),
+        whole=True,
+        dark=1.0,
+        dark_stops=(-3.0, -3.0),
+    )
+    for index in range(3):
+        scene = generate((13, index), PROCEDURAL, TARGET, Recipe.NOMINAL, plan=plan)
+        assert scene.recipe is Recipe.NOMINAL
+        assert scene.camera == CAMERA
+        assert {"low_light", "orientation"} <= set(scene.conditions)
+        assert scene.camera_from_target.translation[2] == pytest.approx(1.2)
+        assert scene.boxes[0].visible == 1.0
+
+
+def test_a_plan_of_a_recipe_gives_that_recipes_pictures():
+    """The mix aside, whose plan is drawn first: the bytes are the same."""
+    for recipe in (Recipe.NOMINAL, Recipe.LOW_LIGHT):
+        named = generate((14, 1), PROCEDURAL, TARGET, recipe)
+        assert generate((14, 1), PROCEDURAL, TARGET, recipe, plan=PLANS[recipe]).jpeg == named.jpeg
 
 
 def test_another_board_changes_nothing_but_the_print():

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from detector_training.errors import SceneError
 from detector_training.scenes.placement import (
     Placement,
     facing,
     random_camera,
     random_placement,
 )
-from detector_training.scenes.projection import circle_box, image_from_board, is_in_front
+from detector_training.scenes.projection import (
+    circle_box,
+    image_from_board,
+    is_in_front,
+    square_box,
+)
 
 
 def test_an_upright_board_straight_ahead_has_the_frames_of_the_docs():
@@ -55,3 +62,27 @@ def test_placements_cover_near_and_far_tilted_and_cut():
     assert max(sizes) > 300
     assert 40 < cut < 250
     assert tilted > 30
+
+
+def test_a_board_that_shall_be_whole_is_so_however_tilted():
+    """A near board, tilted by up to 65 degrees: all corners in the picture; without that, not."""
+    rng = np.random.default_rng(6)
+    camera = random_camera(rng)
+
+    def outside(where):
+        x0, y0, x1, y1 = square_box(
+            image_from_board(camera, random_placement(rng, camera, 0.4, where)), 0.4
+        )
+        return x0 < 0 or y0 < 0 or x1 > 639 or y1 > 479
+
+    near = Placement((14.0, 560.0), distance_m=(0.7, 0.7), tilt_deg=(0.0, 65.0))
+    assert any(outside(near) for _ in range(100))
+    assert not any(outside(replace(near, whole=True)) for _ in range(100))
+
+
+def test_a_board_without_a_place_is_refused():
+    """A board wider than the picture cannot be whole: one line says so, and what to change."""
+    rng = np.random.default_rng(6)
+    where = Placement((900.0, 1000.0), tilt_deg=(0.0, 10.0), whole=True)
+    with pytest.raises(SceneError, match="smaller boards"):
+        random_placement(rng, random_camera(rng), 0.4, where)
