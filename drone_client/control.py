@@ -17,7 +17,7 @@ from drone_client.cbf.filter import FilterInput, SafeCommand, filter_command
 from drone_client.cbf.settings import FilterSettings
 from drone_client.cbf.vector import Vec3
 from drone_client.guidance import GuidanceSettings, guide
-from drone_client.target import TargetEstimate
+from drone_client.target import Source, TargetEstimate
 from rgbd_wire.geometry import Array, Pose
 
 UP_WORLD = np.array([0.0, 0.0, 1.0])
@@ -54,6 +54,10 @@ class Decision:
     """What the filter said; None where there was nothing to ask it about."""
     tip_target: Vec3 | None
     """Tip in the target's frame [m]."""
+    source: Source | None = None
+    """Whose eyes the target was seen with; None: no target."""
+    unconfirmed_ns: int = 0
+    """How long the drone has been the only one to see it; 0: the edge's own word."""
 
 
 def decide(
@@ -76,7 +80,7 @@ def decide(
         return Decision(stop_command(now_ns), Known.NO_TARGET, None, None, None)
     age_ns = now_ns - estimate.t_capture_ns
     if world_from_body is None:
-        return Decision(stop_command(now_ns), Known.NO_POSE, age_ns, None, None)
+        return Decision(stop_command(now_ns), Known.NO_POSE, age_ns, None, None, estimate.source)
 
     target_from_world = estimate.world_from_target.inverse()
     target_from_body = target_from_world @ world_from_body
@@ -85,6 +89,7 @@ def decide(
     tip_target = _vec3(target_from_tip.translation)
     up_target = _vec3(target_from_world_rotation @ UP_WORLD)
     nominal = guide(target_from_tip, settings.guidance, up_target)
+    unconfirmed_ns = estimate.unconfirmed_ns(now_ns)
     safe = filter_command(
         FilterInput(
             tip_target=tip_target,
@@ -94,13 +99,16 @@ def decide(
             up_target=up_target,
             age_ns=age_ns,
             range_m=estimate.range_m,
-            sigma_m=estimate.sigma_m,
+            sigma_m=estimate.seen_sigma_m,
+            unconfirmed_ns=unconfirmed_ns,
         ),
         settings.filter,
     )
     velocity_world = target_from_world_rotation.T @ np.array(safe.velocity_body_target)
     command = VelocityCommand(velocity_world, safe.yaw_rate_radps, now_ns)
-    return Decision(command, Known.TARGET, age_ns, safe, tip_target)
+    return Decision(
+        command, Known.TARGET, age_ns, safe, tip_target, estimate.source, unconfirmed_ns
+    )
 
 
 def stop_command(now_ns: int) -> VelocityCommand:

@@ -72,6 +72,23 @@ class Reception:
         return verdict.settles_frame and (self.judgement.accepted or not self.pending)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeWord:
+    """The last that the edge has said of the target."""
+
+    estimate: TargetEstimate | None
+    """Where it is believed to be; None: never seen."""
+    t_denied_ns: int | None
+    """Exposure of the newest accepted frame in which a worker saw no target; None: none yet."""
+
+    @property
+    def denies(self) -> bool:
+        """It looked again after it saw the target last, and saw none."""
+        if self.estimate is None or self.t_denied_ns is None:
+            return False
+        return self.t_denied_ns > self.estimate.t_capture_ns
+
+
 class Receiver:
     """Takes messages from the link; holds the target estimate and the drone's own past poses."""
 
@@ -113,12 +130,19 @@ class Receiver:
         self._sent = SentFrames(gate)
         self._poses = PoseBuffer()
         self._estimate: TargetEstimate | None = None
+        self._t_denied_ns: int | None = None
 
     @property
     def estimate(self) -> TargetEstimate | None:
         """Where the target is believed to be; None: never seen."""
         with self._lock:
             return self._estimate
+
+    @property
+    def word(self) -> EdgeWord:
+        """The last that the edge has said of the target."""
+        with self._lock:
+            return EdgeWord(self._estimate, self._t_denied_ns)
 
     def add_pose(self, t_ns: int, world_from_body: Pose) -> None:
         """The drone's own pose at a time on its clock."""
@@ -195,6 +219,8 @@ class Receiver:
             done, measurement = None, None
             if judgement.accepted and result.target is not None:
                 done, measurement = self._fuse(result.target, result.t_capture_ns)
+            elif judgement.accepted:
+                self._t_denied_ns = result.t_capture_ns
         if judgement.verdict not in _MADE_UP:
             self._on_heard(result.sequence, result.worker, t4_ns)
         self._on_result(Reception(result, t4_ns, judgement, done, measurement, pending))

@@ -56,6 +56,11 @@ def decision_record(decision: Decision) -> dict[str, Any]:
         "command_mps": [round(v, 6) for v in decision.command.velocity_world.tolist()],
         "yaw_rate_radps": round(decision.command.yaw_rate_radps, 6),
     }
+    if decision.source is not None:
+        record |= {
+            "target_source": decision.source.value,
+            "unconfirmed_ms": _ms(decision.unconfirmed_ns),
+        }
     if (safe := decision.safe) is not None:
         record |= {
             "tip_target_m": None

@@ -39,6 +39,15 @@ DRIFT_RADPS = 0.005
 """How fast the odometry's world moves under the target."""
 
 
+class Source(StrEnum):
+    """Whose eyes an estimate rests on."""
+
+    EDGE = "edge"
+    """A worker's results, through the delay gate."""
+    ONBOARD = "onboard"
+    """The drone's own look where the edge saw the target last; nobody has confirmed it."""
+
+
 class Update(StrEnum):
     """What a measurement did to the estimate."""
 
@@ -67,11 +76,28 @@ class TargetEstimate:
     """From the camera to the target in that measurement."""
     outliers: int = 0
     """Measurements in a row that were not fused."""
+    source: Source = Source.EDGE
+    t_confirmed_ns: int | None = None
+    """Exposure of the edge's newest measurement, on which an onboard one rests; None: the edge's
+    own."""
 
     @property
     def sigma_m(self) -> float:
         """Standard deviation of the position along its worst axis [m]."""
         return float(np.sqrt(max(0.0, np.linalg.eigvalsh(self.covariance[:3, :3])[-1])))
+
+    @property
+    def seen_sigma_m(self) -> float:
+        """The same without the doubt that grows while nobody confirms: what was measured.
+
+        The safety filter counts that doubt itself, at its age on every tick.
+        """
+        doubt_m = DRIFT_MPS * self.unconfirmed_ns(self.t_capture_ns) * 1e-9
+        return float(np.sqrt(max(0.0, self.sigma_m**2 - doubt_m**2)))
+
+    def unconfirmed_ns(self, now_ns: int) -> int:
+        """How long ago the edge saw the target last; 0 where it is the edge's own word."""
+        return 0 if self.t_confirmed_ns is None else max(0, now_ns - self.t_confirmed_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +109,12 @@ class TargetMeasurement:
     t_capture_ns: int
     range_m: float
     """From the camera to the target."""
+
+
+def drift_covariance(dt_ns: int) -> Array:
+    """By how much the target may have moved in the odometry's world in a time (6, 6)."""
+    drift = np.repeat([DRIFT_MPS, DRIFT_RADPS], 3) * max(0, dt_ns) * 1e-9
+    return np.diag(drift**2)
 
 
 def measure(
@@ -125,9 +157,7 @@ def update(
     if estimate is None:
         return fresh, Update.FIRST
 
-    dt_s = max(0, m.t_capture_ns - estimate.t_capture_ns) * 1e-9
-    drift = np.repeat([DRIFT_MPS, DRIFT_RADPS], 3) * dt_s
-    prior = estimate.covariance + np.diag(drift**2)
+    prior = estimate.covariance + drift_covariance(m.t_capture_ns - estimate.t_capture_ns)
     at, seen = estimate.world_from_target, m.world_from_target
     innovation = np.concatenate(
         [seen.translation - at.translation, vector_from_rotation(seen.rotation @ at.rotation.T)]

@@ -46,6 +46,8 @@ class FilterInput:
     """Distance from the camera to the target when that measurement was made."""
     sigma_m: float
     """Standard deviation of that measurement along its worst direction."""
+    unconfirmed_ns: int = 0
+    """How long nobody but the drone itself has seen the target; 0: the edge measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +81,11 @@ def filter_command(inp: FilterInput, settings: FilterSettings) -> SafeCommand:
         return SafeCommand(ZERO, 0.0, math.nan, math.nan, Status.ABORT, phase, math.nan)
     barrier, p = settings.barrier, inp.tip_target
     # Two sizes of the ball, not one and a rate: within the period the age may pass age_max_ns.
-    age_next_ns = inp.age_ns + round(settings.period_s * 1e9)
-    delta = error_ball_m(inp.age_ns, inp.range_m, inp.sigma_m, settings)
-    delta_next = error_ball_m(age_next_ns, inp.range_m, inp.sigma_m, settings)
+    period_ns, alone_ns = round(settings.period_s * 1e9), inp.unconfirmed_ns
+    alone_next_ns = alone_ns + period_ns if alone_ns else 0
+    age_next_ns = inp.age_ns + period_ns
+    delta = error_ball_m(inp.age_ns, inp.range_m, inp.sigma_m, settings, alone_ns)
+    delta_next = error_ball_m(age_next_ns, inp.range_m, inp.sigma_m, settings, alone_next_ns)
     hold = Hold(barrier, p, delta, delta_next, alpha(p, settings), settings.period_s)
     h = barrier.h(p)
 

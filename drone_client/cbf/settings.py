@@ -23,6 +23,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "delta_range_gain": (0.0, 0.1),
     "sigma_gain": (0.0, 5.0),
     "drift_mps": (0.0, 0.1),
+    "unconfirmed_mps": (0.0, 0.1),
     "age_max_ns": (1_000_000, 2_000_000_000),
     "hold_ns": (1_000_000, 5_000_000_000),
     "retreat_ns": (1_000_000, 10_000_000_000),
@@ -75,6 +76,9 @@ class FilterSettings:
     """Standard deviations of the measurement that count as error."""
     drift_mps: float = 0.01
     """Drift of the drone's own odometry, which ages a measurement."""
+    unconfirmed_mps: float = 0.01
+    """By how much the error grows while the drone alone sees the target: as if its odometry had
+    drifted since the edge's last word, so that a long outage turns into a retreat by itself."""
 
     age_max_ns: int = 300_000_000
     """Up to this age the drone may close in: tau_max (250 ms) and a frame interval or two."""
