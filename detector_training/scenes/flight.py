@@ -44,13 +44,18 @@ def random_sway(rng: np.random.Generator) -> Sway:
     return Sway(size * rng.uniform(0.4, 1.0, (6, 3)), rate, rng.uniform(0, 2 * math.pi, (6, 3)))
 
 
-def world_from_camera(t_s: float, target_world: NDArray[np.float64], sway: Sway) -> Pose:
-    """Pose of the colour camera ``t_s`` after the start; ``target_world`` (3,) hangs at x = 0."""
-    s = _ease((t_s - APPROACH_S[0]) / (APPROACH_S[1] - APPROACH_S[0]))
+def world_from_camera(
+    t_s: float, target_world: NDArray[np.float64], sway: Sway, pace: float = 1.0
+) -> Pose:
+    """Pose of the colour camera ``t_s`` after the start; ``target_world`` (3,) hangs at x = 0.
+
+    At a ``pace`` of 0.5 the approach takes twice as long; it sways as quickly as ever.
+    """
+    s = _ease((t_s * pace - APPROACH_S[0]) / (APPROACH_S[1] - APPROACH_S[0]))
     away, north, up = np.array(START_M) + s * (np.array(END_M) - np.array(START_M))
     shake = sway.at(t_s)
     place = target_world + np.array([-away, north, up]) + shake[:3]
-    past = TURN_RAD * (1 - _ease(t_s / TURN_S))
+    past = TURN_RAD * (1 - _ease(t_s * pace / TURN_S))
     towards = rotation_from_vector(np.array([0.0, 0.0, past])) @ (target_world - place)
     steady = looking(place, towards)
     return Pose.from_rotation(steady.rotation @ rotation_from_vector(shake[3:]), place)

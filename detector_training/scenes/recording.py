@@ -72,6 +72,15 @@ def d455() -> RgbdCamera:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Neighbour:
+    """Something flat that hangs on the wall beside the target."""
+
+    texture: NDArray[np.float32]  # (N, N, 4), premultiplied RGBA
+    side_m: float
+    target_from_neighbour: Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Flight:
     """Everything that does not change from frame to frame."""
 
@@ -82,6 +91,9 @@ class Flight:
     print_: NDArray[np.float32]  # (N, N, 3) albedo
     noise: StereoNoise
     seed: int
+    pace: float = 1.0
+    """Speed of the approach."""
+    neighbours: tuple[Neighbour, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,12 +139,12 @@ def render_frame(flight: Flight, index: int) -> Frame:
     rng = np.random.default_rng((flight.seed, 4, index))
     t_s = index / RATE_HZ
     spot = flight.tunnel.world_from_target.translation
-    pose = world_from_camera(t_s, spot, flight.sway)
+    pose = world_from_camera(t_s, spot, flight.sway, flight.pace)
     camera_from_target = pose.inverse() @ flight.tunnel.world_from_target
     camera = flight.camera
     image = _color_light(flight, pose, camera_from_target)
-    later = world_from_camera(t_s + EXPOSURE_S / 2, spot, flight.sway)
-    earlier = world_from_camera(t_s - EXPOSURE_S / 2, spot, flight.sway)
+    later = world_from_camera(t_s + EXPOSURE_S / 2, spot, flight.sway, flight.pace)
+    earlier = world_from_camera(t_s - EXPOSURE_S / 2, spot, flight.sway, flight.pace)
     image = _moved(image, camera.color, earlier, later)
     image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.6)) * np.float32(0.8)
     noisy = sensor.add_noise(rng, image, 6000.0, 0.002, 0.5)
@@ -232,14 +244,29 @@ def _color_light(flight: Flight, pose: Pose, camera_from_target: Pose) -> Linear
     """What the colour camera would see without blur and noise."""
     camera = flight.camera.color
     image, light, _ = render(flight.tunnel.room, camera, pose, supersampling=2)
-    side = flight.target.board_side_m
-    h = image_from_board(camera, camera_from_target)
-    wanted = min(texture_side_px(h, side), flight.print_.shape[0])
-    texture = cv2.resize(flight.print_, (wanted, wanted), interpolation=cv2.INTER_AREA)
-    layer = warp(with_alpha(np.asarray(texture)), side, h, camera.width, camera.height)
+    for neighbour in flight.neighbours:
+        camera_from_neighbour = camera_from_target @ neighbour.target_from_neighbour
+        _paste(image, light, camera, camera_from_neighbour, neighbour.texture, neighbour.side_m)
+    albedo = with_alpha(flight.print_)
+    _paste(image, light, camera, camera_from_target, albedo, flight.target.board_side_m)
+    return image
+
+
+def _paste(
+    image: LinearImage,
+    light: NDArray[np.float32],
+    camera: CameraIntrinsics,
+    camera_from_board: Pose,
+    texture: NDArray[np.float32],
+    side_m: float,
+) -> None:
+    """Lay a texture (N, N, 4) on the wall, in place, lit as the wall is."""
+    h = image_from_board(camera, camera_from_board)
+    wanted = min(texture_side_px(h, side_m), texture.shape[0])
+    fine = np.asarray(cv2.resize(texture, (wanted, wanted), interpolation=cv2.INTER_AREA))
+    layer = warp(fine, side_m, h, camera.width, camera.height)
     if layer is not None:
         paste(image, layer, light[layer.window][..., None])
-    return image
 
 
 def _moved(image: LinearImage, camera: CameraIntrinsics, earlier: Pose, later: Pose) -> LinearImage:
