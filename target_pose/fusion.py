@@ -52,6 +52,8 @@ class CircleFit:
     """What each point counts for."""
     prior_cost: float
     """Of the nuisances, in squared standard deviations."""
+    edges: CircleEdges
+    """What was fitted."""
 
     @property
     def rms_px(self) -> float:
@@ -149,7 +151,9 @@ def _conclude(
         information = information + _plane_terms(plane, *pose)[0]
     prior_cost = float(prior[6:] @ np.square(nuisances))
     information = 0.5 * (information + information.T)
-    return CircleFit(pose, information, system.errors, sigma, inliers, edges.share, prior_cost)
+    return CircleFit(
+        pose, information, system.errors, sigma, inliers, edges.share, prior_cost, edges
+    )
 
 
 def _system(

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_wire.geometry import Pose
+from target_pose.fusion import CircleFit
+from target_pose.plane import InverseDepthPlane
 
 
 class Method(StrEnum):
@@ -57,6 +60,17 @@ class RollSource(StrEnum):
     """Nothing: the board's up is taken to be the camera's up."""
 
 
+class Evidence(NamedTuple):
+    """What a pose was made of, kept for people who want to look at it."""
+
+    circles: CircleFit
+    """The fit that gave the pose, with its edge points."""
+    circles_alone: CircleFit
+    """The same edges without the depth."""
+    plane: InverseDepthPlane | None
+    """The board in the depth, whether it was used or contradicts."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Localisation:
     """Where one target is.
@@ -89,3 +103,5 @@ class Localisation:
     depth_contradicts: bool = False
     """Depth was seen on the board but left out, since it contradicts the circles by more than the
     errors of both allow; the covariance is widened to reach it."""
+    evidence: Evidence | None = None
+    """None: the pose does not rest on circles."""

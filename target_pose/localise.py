@@ -26,7 +26,7 @@ from target_pose.covariance import (
 )
 from target_pose.fusion import CircleFit, plane_error
 from target_pose.lens import project, rays_from_pixels
-from target_pose.localisation import Localisation, Method, Refusal
+from target_pose.localisation import Evidence, Localisation, Method, Refusal
 from target_pose.plane import InverseDepthPlane, fit_plane, plane_scatter
 from target_pose.roll import Roll, find_roll, hinted_roll, rolled_pose
 from target_pose.target import Target
@@ -233,6 +233,7 @@ def _fused(view: _View, near: _NearFold, depth: _Depth) -> Localisation | Refusa
         alternative=other_fold(fused.pose, view.target.discs[0].diameter_m / 2),
         ranges=(range_ellipse, range_plane),
         depth=depth,
+        alone=free,
     )
 
 
@@ -284,6 +285,7 @@ def _concluded(
     ranges: tuple[float, float | None],
     depth: _Depth | None,
     alternative_share: float = 0.0,
+    alone: CircleFit | None = None,
 ) -> Localisation | Refusal:
     """Add the roll, and the covariance of everything that is not sure."""
     if _tilt(fit.pose) > MAX_TILT_RAD:
@@ -320,6 +322,7 @@ def _concluded(
         plane_inliers=0 if depth is None else depth.plane.inliers,
         plane_rms_m=None if depth is None else depth.rms_m,
         depth_contradicts=contradicts,
+        evidence=Evidence(fit, alone or fit, None if depth is None else depth.plane),
     )
 
 
