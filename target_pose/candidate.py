@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
+from target_pose.points import PointPx
 from target_pose.target import Level
 
 
@@ -17,6 +20,8 @@ class Box:
     y1: float
     score: float
     """Confidence in [0, 1]."""
+    points: tuple[PointPx, ...] = ()
+    """The target's labelled points as the net saw them with this box, in the target's order."""
 
     @property
     def center_px(self) -> tuple[float, float]:
@@ -44,3 +49,5 @@ class Candidate:
     """At least one level; a far or cut target may lack some."""
     score: float
     """What the net and the check of the rings say together, in [0, 1]."""
+    points: Mapping[str, PointPx] = field(default_factory=lambda: MappingProxyType({}))
+    """The target's labelled points by their names, as far as the net told any."""

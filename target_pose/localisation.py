@@ -25,6 +25,9 @@ class Method(StrEnum):
     """The plane alone, with the bearing of the box: no circle to be seen in the picture."""
     BOX = "box"
     """Bearing and apparent size of the box alone; the board is taken to face the camera."""
+    PNP = "pnp"
+    """The method chosen instead of all of the above (``pnp.localise_pnp``): points with known
+    places on the board, and the board's plane where there is depth."""
 
 
 class Refusal(StrEnum):
@@ -54,6 +57,8 @@ class RollSource(StrEnum):
 
     EDGES = "edges"
     """The board's four edges; which of them is the upper one is told by the two below."""
+    POINTS = "points"
+    """Labelled points of the board: each of them tells where up is."""
     GRAVITY = "gravity"
     """The caller's up vector: the board is taken to hang upright."""
     ASSUMED = "assumed"
@@ -96,6 +101,11 @@ class Localisation:
     """Root mean square of the used edge points about the fitted circles."""
     ellipse_points: int = 0
     """Edge points used."""
+    picture_rms_levels: float | None = None
+    """Of a small target, all of whose pixels were fitted: root mean square of the used ones about
+    what the pose predicts [grey values]."""
+    picture_points: int = 0
+    """Pixels used."""
     plane_inliers: int = 0
     """Depth points used."""
     plane_rms_m: float | None = None
@@ -104,4 +114,4 @@ class Localisation:
     """Depth was seen on the board but left out, since it contradicts the circles by more than the
     errors of both allow; the covariance is widened to reach it."""
     evidence: Evidence | None = None
-    """None: the pose does not rest on circles."""
+    """None: the pose does not rest on edge points."""

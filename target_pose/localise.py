@@ -134,6 +134,8 @@ def _checked(
         with np.errstate(over="ignore"):
             usable = 1e-6 < length(up) < 1e6  # false for NaN, too
         up = up if usable else None
+    if not target.discs:
+        return Refusal.NO_EVIDENCE
     guesses = box_guesses(candidate, target, color)
     if not guesses:
         return Refusal.BAD_BOX

@@ -1,4 +1,4 @@
-"""What a printed target looks like: a board with concentric discs, described by a TOML file."""
+"""What a target looks like: a board with discs or labelled points, described by a TOML file."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any
 
 from target_pose.errors import TargetFileError
+from target_pose.points import BoardPoint, parse_points
 
 DEFAULT_TARGET = "bullseye-400"
 MIN_CONTRAST = 4.5
@@ -51,7 +52,7 @@ class Disc:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A square board with concentric discs, from the outside in.
+    """A square board with concentric discs, from the outside in, or with labelled points, or both.
 
     Frame ``target``: origin in the common centre, x out of the board towards the viewer, z up
     along the board, y = z x x (the viewer's right; left for one who looks along x).
@@ -65,6 +66,8 @@ class Target:
     """Side of the square that each level's box circumscribes when seen head-on."""
     colours: dict[Shade, str] = field(default_factory=lambda: dict(PURE_COLOURS))
     """What a printer lays down for each shade, as sRGB ``#rrggbb``."""
+    points: tuple[BoardPoint, ...] = ()
+    """In the order in which a net that finds them gives them."""
 
 
 def packaged_targets() -> tuple[str, ...]:
@@ -106,6 +109,22 @@ def load_target(name_or_path: str | Path = DEFAULT_TARGET) -> Target:
         raise TargetFileError(f"target file {source}: {error}") from None
 
 
+def load_round_target(name_or_path: str | Path = DEFAULT_TARGET) -> Target:
+    """As ``load_target``, for whatever draws a target, trains on it or looks for its circles.
+
+    Raises:
+        TargetFileError: as there, or the target has no discs.
+    """
+    target = load_target(name_or_path)
+    if not target.discs:
+        raise TargetFileError(
+            f"target {target.name} has [[points]] and no [[discs]]: what it looks like is not "
+            "known, so it cannot be drawn, trained on or found by circles here; see 'targets that "
+            "are not circles' in docs/localisation.md"
+        )
+    return target
+
+
 def parse_target(text: str) -> Target:
     """The target that a TOML text describes.
 
@@ -123,14 +142,26 @@ def parse_target(text: str) -> Target:
 
 
 def _target(raw: dict[str, Any]) -> Target:
-    _only("a target", raw, ("name", "board", "discs", "levels", "colours"))
+    _only("a target", raw, ("name", "board", "discs", "levels", "colours", "points"))
     side = _length("board.side_m", raw["board"]["side_m"])
+    shade = Shade(raw["board"]["shade"])
+    points = parse_points(raw["points"], side) if "points" in raw else ()
+    discs: tuple[Disc, ...] = ()
+    if "discs" in raw or not points:
+        discs = _discs(raw["discs"], side, shade)
+    name = raw["name"]
+    if not isinstance(name, str) or not 1 <= len(name) <= 64:
+        raise TargetFileError("name must be a string of 1 to 64 characters")
+    levels = _levels(raw["levels"]) if discs else _lone_level(raw.get("levels"), side)
+    return Target(name, side, shade, discs, levels, _colours(raw.get("colours", {})), points)
+
+
+def _discs(raw: list[dict[str, Any]], side: float, shade: Shade) -> tuple[Disc, ...]:
     discs = tuple(
-        Disc(_length("discs.diameter_m", d["diameter_m"]), Shade(d["shade"])) for d in raw["discs"]
+        Disc(_length("discs.diameter_m", d["diameter_m"]), Shade(d["shade"])) for d in raw
     )
     if not 1 <= len(discs) <= 8:
         raise TargetFileError(f"a target has 1 to 8 discs, not {len(discs)}")
-    shade = Shade(raw["board"]["shade"])
     outer, outer_shade = side, shade
     for disc in discs:
         if disc.diameter_m >= outer:
@@ -142,14 +173,26 @@ def _target(raw: dict[str, Any]) -> Target:
                 f"the disc of {disc.diameter_m} m has the shade of what it lies on"
             )
         outer, outer_shade = disc.diameter_m, disc.shade
-    levels = {Level(k): _length(f"levels.{k}", v) for k, v in raw["levels"].items()}
+    return discs
+
+
+def _levels(raw: dict[str, Any]) -> dict[Level, float]:
+    levels = {Level(k): _length(f"levels.{k}", v) for k, v in raw.items()}
     sizes = [levels[level] for level in Level]
     if sizes != sorted(sizes, reverse=True) or len(set(sizes)) != len(sizes):
         raise TargetFileError(f"levels must shrink from {Level.GOOD} to {Level.BEST}: {sizes}")
-    name = raw["name"]
-    if not isinstance(name, str) or not 1 <= len(name) <= 64:
-        raise TargetFileError("name must be a string of 1 to 64 characters")
-    return Target(name, side, shade, discs, levels, _colours(raw.get("colours", {})))
+    return levels
+
+
+def _lone_level(raw: dict[str, Any] | None, side: float) -> dict[Level, float]:
+    """Nothing nests without discs: the one box of a target of points."""
+    if raw is None:
+        return {Level.GOOD: side}
+    if set(raw) != {Level.GOOD}:
+        raise TargetFileError(
+            f"a target without discs has one level, {Level.GOOD}, not {', '.join(raw)[:60]}"
+        )
+    return {Level.GOOD: _length(f"levels.{Level.GOOD}", raw[Level.GOOD])}
 
 
 def _only(what: str, table: dict[str, Any], known: tuple[str, ...]) -> None:
