@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.table import Table
 
-from edge_service.http.bodies import LocalizeBody, TargetBody
+from edge_service.http.bodies import EvidenceBody, LocalizeBody, TargetBody
 from edge_service.parts import make_pipeline
 from edge_service.settings import EdgeSettings
 from rgbd_wire.clock import MonotonicClock
@@ -32,19 +32,35 @@ def report(body: LocalizeBody) -> Table:
 
 
 def _rows(target: TargetBody) -> list[tuple[str, str]]:
-    pose = target.camera_from_target
-    sigma_mm = [1000 * target.covariance[i][i] ** 0.5 for i in range(3)]
+    pose, sigmas, seen = target.camera_from_target, target.sigmas, target.evidence
+    across = _numbers(sigmas.right_down_forward_mm, ".1f")
     rows = [
-        ("distance", f"{target.distance_m:.3f} m"),
+        ("distance", f"{target.distance_m:.3f} m +- {sigmas.range_mm:.1f} mm"),
         ("position", _numbers(pose.translation_m, "+.4f") + " m in camera (right, down, forward)"),
-        ("+- 1 sigma", _numbers(sigma_mm, ".1f") + " mm"),
+        ("+- 1 sigma", f"{across} mm"),
+        ("tilt", f"{target.tilt_deg:.1f} deg +- {sigmas.normal_deg:.2f} deg of the normal"),
         ("q_wxyz", _numbers(pose.q_wxyz, "+.4f")),
         ("method", f"{target.method}, roll by {target.roll_source}, score {target.score:.2f}"),
     ]
+    if seen.ellipse_rms_px is not None:
+        points = f"{seen.ellipse_points} of {seen.ellipse_points_measured} edge points"
+        rows.append(("circles", f"{points}, rms {seen.ellipse_rms_px:.3f} px"))
+    if seen.plane_rms_m is not None:
+        rows.append(("plane", f"{seen.plane_inliers} points, rms {1000 * seen.plane_rms_m:.1f} mm"))
+    if seen.range_plane_m is not None and seen.range_ellipse_m is not None:
+        rows.append(("ranges", _ranges(seen)))
     if target.ambiguous and target.alternative is not None:
         other = _numbers(target.alternative.q_wxyz, "+.4f")
         rows.append(("ambiguous", f"the mirrored fold fits as well: q_wxyz {other}"))
     return rows
+
+
+def _ranges(seen: EvidenceBody) -> str:
+    """What circles and depth say of the distance, each by itself."""
+    text = f"{seen.range_ellipse_m:.4f} m by the circles, {seen.range_plane_m:.4f} m by the depth"
+    if seen.ranges_apart_sigmas is not None:
+        text += f": {abs(seen.ranges_apart_sigmas):.1f} sigma apart"
+    return text + (", which was left out" if seen.depth_contradicts else "")
 
 
 def _numbers(values: tuple[float, ...] | list[float], form: str) -> str:

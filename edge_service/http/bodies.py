@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -9,6 +10,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from edge_service.pipeline import Found, Output
 from rgbd_wire.geometry import Pose
 from target_pose.localisation import Localisation
+from target_pose.residuals import residuals, spread, tilt_rad
+
+COVARIANCE_FRAME = "camera"
+"""Both halves of a pose's covariance are in the colour camera's frame."""
 
 
 class _Body(BaseModel):
@@ -41,16 +46,77 @@ class BoxBody(_Body):
     score: float = Field(description="Confidence in [0, 1].")
 
 
+class CircleBody(_Body):
+    """Edge points of one printed circle."""
+
+    diameter_m: float
+    measured: int
+    used: int = Field(description="The others were taken for outliers.")
+    rms_px: float | None = Field(description="Used ones about the projected circle.")
+
+
 class EvidenceBody(_Body):
-    """What the pose rests on."""
+    """What the pose rests on, and how well that fits."""
 
     range_ellipse_m: float | None = Field(description="Distance as the circles alone have it.")
+    range_ellipse_sigma_m: float | None
     range_plane_m: float | None = Field(description="Distance as the depth alone has it.")
+    range_plane_sigma_m: float | None
+    ranges_apart_sigmas: float | None = Field(
+        description="Plane range less ellipse range, over the standard deviation of the difference."
+    )
     ellipse_rms_px: float | None = Field(description="Edge points about the fitted circles.")
-    ellipse_points: int
+    ellipse_points: int = Field(description="Edge points used.")
+    ellipse_points_measured: int
+    circles: list[CircleBody] = Field(description="The same for each circle, outermost first.")
     plane_inliers: int
     plane_rms_m: float | None = Field(description="Depth points about the fitted plane.")
     depth_contradicts: bool = Field(description="Depth was left out: it contradicts the circles.")
+
+    @classmethod
+    def of(cls, located: Localisation) -> EvidenceBody:
+        """The body of what a pose rests on."""
+        r = residuals(located)
+        circles = () if r is None else r.circles
+        return cls(
+            range_ellipse_m=located.range_ellipse_m,
+            range_ellipse_sigma_m=None if r is None else r.range_ellipse_sigma_m,
+            range_plane_m=located.range_plane_m,
+            range_plane_sigma_m=None if r is None else r.range_plane_sigma_m,
+            ranges_apart_sigmas=None if r is None else r.ranges_apart_sigmas,
+            ellipse_rms_px=located.ellipse_rms_px,
+            ellipse_points=located.ellipse_points,
+            ellipse_points_measured=sum(c.measured for c in circles),
+            circles=[CircleBody(**c._asdict()) for c in circles],
+            plane_inliers=located.plane_inliers,
+            plane_rms_m=located.plane_rms_m,
+            depth_contradicts=located.depth_contradicts,
+        )
+
+
+class SigmasBody(_Body):
+    """Standard deviations for people; ``covariance`` has all of it."""
+
+    right_down_forward_mm: tuple[float, float, float] = Field(
+        description="Position along the camera's axes."
+    )
+    range_mm: float = Field(description="Position along the line of sight.")
+    across_mm: float = Field(description="Position across it, in the worse direction.")
+    normal_deg: float = Field(description="The board's normal, in the worse direction.")
+    roll_deg: float = Field(description="About the normal.")
+
+    @classmethod
+    def of(cls, located: Localisation) -> SigmasBody:
+        """The body of a pose's standard deviations."""
+        s = spread(located)
+        right, down, forward = (1000 * math.sqrt(located.covariance[i, i]) for i in range(3))
+        return cls(
+            right_down_forward_mm=(right, down, forward),
+            range_mm=1000 * s.range_m,
+            across_mm=1000 * s.across_m,
+            normal_deg=math.degrees(s.normal_rad),
+            roll_deg=math.degrees(s.roll_rad),
+        )
 
 
 class TargetBody(_Body):
@@ -61,9 +127,12 @@ class TargetBody(_Body):
         "x out of the board towards the viewer, z up along the board."
     )
     distance_m: float = Field(description="From the camera to the target's centre.")
+    tilt_deg: float = Field(description="Between the board's normal and the line of sight.")
+    sigmas: SigmasBody
+    covariance_frame: str = Field(description="Frame in which the covariance is: camera.")
     covariance: list[list[float]] = Field(
         description="6x6 of (translation, rotation vector), both in the camera frame "
-        "[m^2, m rad, rad^2]."
+        "[m^2, m rad, rad^2]: the true pose is translation + d, exp(r) @ rotation."
     )
     method: str = Field(description="fused, ellipse, depth or box: from best evidence to weakest.")
     roll_source: str = Field(description="What fixes the roll: edges, gravity or assumed.")
@@ -81,6 +150,9 @@ class TargetBody(_Body):
         return cls(
             camera_from_target=PoseBody.of(pose),
             distance_m=float((pose.translation @ pose.translation) ** 0.5),
+            tilt_deg=math.degrees(tilt_rad(located)),
+            sigmas=SigmasBody.of(located),
+            covariance_frame=COVARIANCE_FRAME,
             covariance=located.covariance.tolist(),
             method=located.method.value,
             roll_source=located.roll_source.value,
@@ -91,15 +163,7 @@ class TargetBody(_Body):
                 BoxBody(level=level.value, x0=b.x0, y0=b.y0, x1=b.x1, y1=b.y1, score=b.score)
                 for level, b in found.candidate.boxes.items()
             ],
-            evidence=EvidenceBody(
-                range_ellipse_m=located.range_ellipse_m,
-                range_plane_m=located.range_plane_m,
-                ellipse_rms_px=located.ellipse_rms_px,
-                ellipse_points=located.ellipse_points,
-                plane_inliers=located.plane_inliers,
-                plane_rms_m=located.plane_rms_m,
-                depth_contradicts=located.depth_contradicts,
-            ),
+            evidence=EvidenceBody.of(located),
         )
 
 

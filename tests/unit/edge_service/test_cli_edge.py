@@ -63,7 +63,9 @@ def test_localize_says_where_the_target_is(run, files):
     color, depth, camera = files
     code, out, err = run("localize", color, depth, "--camera", camera)
     assert (code, err) == (0, "")
-    assert re.search(r"distance +1\.50\d m", out)
+    assert re.search(r"distance +1\.50\d m \+- [\d.]+ mm", out)
+    assert re.search(r"circles +\d+ of \d+ edge points, rms [\d.]+ px", out)
+    assert re.search(r"ranges +1\.\d+ m by the circles, 1\.\d+ m by the depth: [\d.]+ sigma", out)
     assert re.search(r"position +\+0\.0[45]\d\d -0\.0[23]\d\d \+1\.[45]\d\d\d m in camera", out)
     assert re.search(r"method +fused, roll by \w+, score 0\.92", out)
     assert re.search(r"time +detect [\d.]+, nest [\d.]+, localise [\d.]+ ms", out)

@@ -30,6 +30,7 @@ from tests.unit.edge_service.edge_fakes import (
     COLOR,
     DEPTH,
     SECOND_NS,
+    TARGET,
     Bench,
     HeldDetector,
     KnownDetector,
@@ -98,6 +99,21 @@ def test_depth_may_be_left_out_and_camera_may_be_a_field(client, color):
         "/v1/localize", files={"color": ("c", color)}, data={"camera": CAMERA_JSON}
     )
     assert response.json()["target"]["method"] == "ellipse"
+
+
+def test_an_answer_says_how_well_its_evidence_fits(client):
+    """Residuals per circle and of the plane, the two ranges, and sigmas that are the covariance's."""
+    target = client.post("/v1/localize", files=FILES).json()["target"]
+    seen, sigmas = target["evidence"], target["sigmas"]
+    assert [c["diameter_m"] for c in seen["circles"]] == [d.diameter_m for d in TARGET.discs]
+    assert sum(c["used"] for c in seen["circles"]) == seen["ellipse_points"]
+    assert sum(c["measured"] for c in seen["circles"]) == seen["ellipse_points_measured"]
+    assert abs(seen["ranges_apart_sigmas"]) < 3
+    assert seen["range_plane_sigma_m"] > 0
+    assert target["covariance_frame"] == "camera"
+    variances = np.diag(target["covariance"])
+    np.testing.assert_allclose(sigmas["right_down_forward_mm"], 1000 * np.sqrt(variances[:3]))
+    assert target["tilt_deg"] < 3
 
 
 def test_no_target_is_an_answer():
