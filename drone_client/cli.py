@@ -37,6 +37,7 @@ from drone_client.truth import load_truth
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.errors import WireError
 from rgbd_wire.messages import Outcome
+from target_pose.errors import TargetError
 
 app = typer.Typer(
     help="The onboard side: frames up, fresh target poses down, safe velocity commands out.",
@@ -77,6 +78,15 @@ def replay(
         bool | None, typer.Option("--rate-control/--no-rate-control", help=about("rate_control"))
     ] = None,
     hedge: Annotated[bool | None, typer.Option("--hedge/--no-hedge", help=about("hedge"))] = None,
+    onboard_fallback: Annotated[
+        bool | None,
+        typer.Option("--onboard-fallback/--no-onboard-fallback", help=about("onboard_fallback")),
+    ] = None,
+    onboard_target: Annotated[str | None, typer.Option(help=about("onboard_target"))] = None,
+    onboard_max_s: Annotated[float | None, typer.Option(help=about("onboard_max_s"))] = None,
+    onboard_growth_mm_s: Annotated[
+        float | None, typer.Option(help=about("onboard_growth_mm_s"))
+    ] = None,
     ros_topic: Annotated[str | None, typer.Option(help=about("ros_topic"))] = None,
     ros_connect: Annotated[str | None, typer.Option(help=about("ros_connect"))] = None,
     ros_flavour: Annotated[Flavour | None, typer.Option(help=about("ros_flavour"))] = None,
@@ -104,7 +114,9 @@ def replay(
 
     Frames go to a worker, results come back through the delay gate, the target feeds guidance and
     the safety filter, and an autopilot in memory takes the commands. The folder of --out gets
-    ledger.jsonl with one line for every frame, ticks.jsonl, events.jsonl, summary.json and run.png.
+    ledger.jsonl with one line for every frame, ticks.jsonl, events.jsonl, summary.json and run.png;
+    with --onboard-fallback also onboard.jsonl, with one line for every frame that came while no
+    fresh result was left.
 
     Example: drone-client replay examples/recordings/rendered-approach --connect tcp/127.0.0.1:7447
     """
@@ -120,6 +132,10 @@ def replay(
         tls=tls,
         rate_control=rate_control,
         hedge=hedge,
+        onboard_fallback=onboard_fallback,
+        onboard_target=onboard_target,
+        onboard_max_s=onboard_max_s,
+        onboard_growth_mm_s=onboard_growth_mm_s,
         ros_topic=ros_topic,
         ros_connect=ros_connect,
         ros_flavour=ros_flavour,
@@ -137,6 +153,8 @@ def replay(
             accepted = tally.verdicts["accepted"]
             refused = sum(tally.verdicts.values()) - accepted
             counts = f"{accepted} accepted, {refused} refused, {tally.outcomes['target']} targets"
+            if settings.onboard_fallback:
+                counts += f", {tally.onboard} seen on board"
             progress.update(task, completed=done, description=title, counts=counts)
 
         with ExitStack() as stack:
@@ -228,7 +246,7 @@ def main() -> None:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line is ours
     try:
         app(standalone_mode=True)
-    except (ClientError, WireError) as error:
+    except (ClientError, WireError, TargetError) as error:
         line = " ".join(str(error).split())
         _errors.print(f"drone-client: {line}", style="red", markup=False, soft_wrap=True)
         sys.exit(2)

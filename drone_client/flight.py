@@ -6,6 +6,7 @@
     uplink thread     mailbox -> encode -> link    (ack clock; watches the workers)
     link's thread     message -> receiver: gate -> target estimate   -> ledger
     control thread    pose, estimate -> guidance -> filter -> autopilot, at control_hz
+    own eyes' thread  frames of the moments without the edge -> estimate   (on request)
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from drone_client.encoding_choice import EncodingChoice
 from drone_client.gate import GateSettings
 from drone_client.ledger import Fate, Ledger
 from drone_client.link import Link
+from drone_client.lookout import Lookout, LookoutSettings
+from drone_client.onboard import LookVerdict
+from drone_client.own_eyes import OwnEyes
 from drone_client.rate_control import RateSettings
 from drone_client.reception import Receiver, Reception
 from drone_client.records import decision_record, one_way_record, reception_record
@@ -31,8 +35,18 @@ from drone_client.uplink import Uplink, UplinkSettings
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.geometry import Pose
+from target_pose.target import Target
 
 logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class OwnEyesSettings:
+    """The drone's own eyes, for the moments without a link."""
+
+    target: Target
+    alone_max_ns: int
+    """So long after the edge's last word no further look is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +59,8 @@ class FlightSettings:
     rate: RateSettings
     control_hz: float
     reply_timeout_ns: int
+    own_eyes: OwnEyesSettings | None = None
+    """None: without the edge the drone is blind."""
 
 
 @dataclass(slots=True)
@@ -56,6 +72,8 @@ class Tally:
     statuses: Counter[str] = field(default_factory=Counter)
     late_results: int = 0
     """Results of frames that had been given up on."""
+    onboard: int = 0
+    """Poses that were seen on board."""
     control_errors: int = 0
     receive_errors: int = 0
     """Messages whose handling went wrong; the log has the first."""
@@ -96,6 +114,7 @@ class Flight:
             on_echo=lambda probe, t4_ns: self._uplink.echo(probe, t4_ns),
             on_status=lambda status: self._uplink.take_status(status),
         )
+        self._own_eyes = self._open_eyes()
         choice = EncodingChoice(settings.rate, lambda: self._receiver.estimate)
         self._uplink = Uplink(settings.uplink, link, clock, self._receiver, ledger, choice)
         self._control = threading.Thread(target=self._run_control, name="control", daemon=True)
@@ -110,10 +129,42 @@ class Flight:
         """For what it knows of the workers."""
         return self._uplink
 
+    @property
+    def own_eyes(self) -> OwnEyes | None:
+        """For their counts; None: the drone has none."""
+        return self._own_eyes
+
+    def _open_eyes(self) -> OwnEyes | None:
+        eyes = self._settings.own_eyes
+        if eyes is None:
+            return None
+        fresh_ns = self._settings.control.filter.age_max_ns
+        return OwnEyes(
+            eyes.target,
+            Lookout(eyes.target, LookoutSettings(fresh_ns, max(fresh_ns, eyes.alone_max_ns))),
+            lambda: self._receiver.word,
+            self._camera_at,
+            self._clock,
+            self._on_look,
+        )
+
+    def _on_look(self, line: dict[str, Any]) -> None:
+        self._ledger.look(line)
+        self.tally.onboard += line["verdict"] == LookVerdict.ACCEPTED.value
+
+    def _camera_at(self, t_ns: int) -> Pose | None:
+        """``world_from_camera`` at a time; None if the drone cannot know."""
+        world_from_body = self._receiver.pose_at(t_ns)
+        if world_from_body is None:
+            return None
+        return world_from_body @ self._airframe.body_from_camera
+
     def start(self) -> None:
         """Start receiving, sending and controlling."""
         self._link.start(self._on_message, self._uplink.wake)
         self._uplink.start()
+        if self._own_eyes is not None:
+            self._own_eyes.start()
         self._control.start()
 
     def capture(self, frame: RgbdFrame, name: str) -> None:
@@ -121,7 +172,9 @@ class Flight:
         if frame.world_from_camera is not None:
             world_from_body = frame.world_from_camera @ self._camera_from_body
             self._receiver.add_pose(frame.t_capture_ns, world_from_body)
-        self._uplink.submit(frame, name)
+        sequence = self._uplink.submit(frame, name)
+        if self._own_eyes is not None:
+            self._own_eyes.offer(sequence, frame)
 
     def drain(self) -> None:
         """Wait until each frame's fate is known; the time-outs bound it."""
@@ -132,6 +185,8 @@ class Flight:
         """Stop all threads; the last command is to stand still."""
         self._stopping.set()
         self._uplink.stop()
+        if self._own_eyes is not None:
+            self._own_eyes.stop()
         if self._control.is_alive():
             self._control.join(timeout=5.0)
         self._link.close()
@@ -182,9 +237,10 @@ class Flight:
             self._on_accepted(reception)  # last: whatever it does, the frame has its line
 
     def _decide(self, now_ns: int) -> Decision:
+        eyes = self._own_eyes
         return decide(
             now_ns,
-            self._receiver.estimate,
+            self._receiver.estimate if eyes is None else eyes.leading(now_ns),
             self._receiver.pose_at(now_ns),
             self._airframe,
             self._settings.control,

@@ -21,6 +21,7 @@ from drone_client.errors import OutputError
 LEDGER_NAME: Final = "ledger.jsonl"
 EVENTS_NAME: Final = "events.jsonl"
 TICKS_NAME: Final = "ticks.jsonl"
+ONBOARD_NAME: Final = "onboard.jsonl"
 
 
 class Fate(StrEnum):
@@ -56,7 +57,7 @@ class FrameEntry:
 
 
 class Ledger:
-    """Writes ``ledger.jsonl``, ``events.jsonl`` and ``ticks.jsonl`` of a run. Thread-safe.
+    """Writes ``ledger.jsonl`` and beside it events, control ticks, and looks on board. Thread-safe.
 
     A disk that fills up in flight costs lines, never the flight: they are counted in
     ``lost_lines``.
@@ -66,7 +67,7 @@ class Ledger:
             which is evidence and goes only when ``overwrite`` says so.
     """
 
-    def __init__(self, folder: Path, *, overwrite: bool = False) -> None:
+    def __init__(self, folder: Path, *, overwrite: bool = False, own_eyes: bool = False) -> None:
         self.lost_lines = 0
         self.fates: Counter[Fate] = Counter()
         self.settled = threading.Event()
@@ -81,7 +82,12 @@ class Ledger:
                 raise OutputError(
                     f"folder {folder} holds an earlier run: give another --out, or --overwrite"
                 )
-            for name in (LEDGER_NAME, EVENTS_NAME, TICKS_NAME):
+            names = [LEDGER_NAME, EVENTS_NAME, TICKS_NAME]
+            if own_eyes:
+                names.append(ONBOARD_NAME)
+            else:
+                (folder / ONBOARD_NAME).unlink(missing_ok=True)  # of an earlier run
+            for name in names:
                 self._files[name] = (folder / name).open("w", encoding="utf-8")
         except FileExistsError:
             raise OutputError(f"folder {folder}: there is a file of that name") from None
@@ -148,6 +154,11 @@ class Ledger:
         """One control tick."""
         with self._lock:
             self._write(TICKS_NAME, line)
+
+    def look(self, line: dict[str, Any]) -> None:
+        """One frame that the drone looked at, or would have, by itself."""
+        with self._lock:
+            self._write(ONBOARD_NAME, line)
 
     def close(self) -> None:
         """Give every open frame its line, and close the files."""

@@ -18,6 +18,10 @@ from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.geometry import Pose
 from target_pose.target import Target
 
+MAX_OUTLIERS = 1
+"""Measurements of the edge in a row that its own estimate did not fit; with more, the drone does
+not look for what that estimate says."""
+
 
 @dataclass(frozen=True, slots=True)
 class LookoutSettings:
@@ -100,7 +104,7 @@ class Lookout:
         edge = word.estimate
         if word.denies or edge is None:
             return LookVerdict.DENIED
-        if edge.outliers:
+        if edge.outliers > MAX_OUTLIERS:
             return LookVerdict.CONTESTED
         if t_capture_ns - edge.t_capture_ns > self._settings.alone_max_ns:
             return LookVerdict.EXPIRED
@@ -147,7 +151,7 @@ class Lookout:
         seen, edge = self._seen, word.estimate
         if seen is None:
             return
-        if edge is None or word.denies or edge.outliers:
+        if edge is None or word.denies or edge.outliers > MAX_OUTLIERS:
             self._fall()
         elif edge.t_capture_ns >= seen.estimate.t_capture_ns:
             self._seen = None  # the edge has seen more since: nothing was wrong with the look

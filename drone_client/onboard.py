@@ -49,6 +49,9 @@ MIN_SHADES_SHARE: Final = 0.8
 boxes that its net is sure of; here they stand alone."""
 MIN_IN_PICTURE: Final = 0.6
 """Least share of the outer disc that the prediction has inside the picture."""
+MAX_RANGE_GAP: Final = 0.05
+"""By how much the ranges of circles and depth may differ: the check of the target's size. The edge,
+whose net knows the target, lets 15 % through."""
 BEHIND_M: Final = 0.05
 """Nothing nearer to the camera than this is a target that can be seen."""
 
@@ -262,7 +265,9 @@ def _weakness(found: Localisation) -> LookVerdict | None:
     """Why a pose proves nothing to somebody who has only a prediction to start from."""
     if found.method not in (Method.FUSED, Method.ELLIPSE):
         return LookVerdict.NO_CIRCLE
-    if found.depth_contradicts:
+    circles_m, plane_m = found.range_ellipse_m, found.range_plane_m
+    gap = 0.0 if circles_m is None or plane_m is None else abs(plane_m / circles_m - 1)
+    if not gap <= MAX_RANGE_GAP:
         return LookVerdict.DEPTH_CONTRADICTS
     return LookVerdict.AMBIGUOUS if found.ambiguous else None
 

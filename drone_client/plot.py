@@ -8,6 +8,7 @@ from typing import Any
 
 from drone_client.gate import Verdict
 from drone_client.ledger import Fate
+from drone_client.onboard_summary import bridges
 
 PLOT_NAME = "run.png"
 _CHOSEN_COLORS = {
@@ -22,6 +23,7 @@ _CHOSEN_COLORS = {
 _FATE_COLORS = {
     fate.value: _CHOSEN_COLORS.get(fate, "black") for fate in Fate if fate is not Fate.ANSWERED
 } | {Verdict.NOT_LOOKED_AT.value: "tab:pink"}
+_OWN_EYES_COLOR = "tab:cyan"
 _FRESHNESS_COLORS = {"hold": "gold", "brake": "orange", "retreat": "tab:red"}
 
 
@@ -100,7 +102,7 @@ def plot_run(
     barrier.plot(times, column("h_m"), color="tab:blue", label="h at the estimated tip")
     barrier.plot(times, column("h_robust_m"), color="tab:orange", label="h that is certain")
     barrier.axhline(0.0, color="black", lw=0.8)
-    _shade(barrier, times, [t.get("freshness") for t in ticks])
+    _shade_what_was_known((barrier, tip), ticks, seconds)
     barrier.set_title("the barrier: safe above 0", fontsize=9, loc="left")
     barrier.set_ylabel("m")
     _legend(barrier)
@@ -175,6 +177,24 @@ def _mark_hand_overs(
             fontsize=7,
             color="tab:purple",
         )
+
+
+def _shade_what_was_known(
+    panels: Sequence[Any], ticks: Sequence[dict[str, Any]], seconds: Callable[[int], float]
+) -> None:
+    """Shade, in the first panel, what was not fresh, and in all what was flown on own eyes."""
+    times = [seconds(t["t_ns"]) for t in ticks]
+    _shade(panels[0], times, [t.get("freshness") for t in ticks])
+    for number, bridge in enumerate(bridges(ticks)):
+        for axes in panels:
+            axes.axvspan(
+                seconds(bridge.start_ns),
+                seconds(bridge.end_ns),
+                color=_OWN_EYES_COLOR,
+                alpha=0.2,
+                lw=0,
+                label=None if number else "own eyes",
+            )
 
 
 def _shade(axes: Any, times: Sequence[float], phases: Sequence[str | None]) -> None:

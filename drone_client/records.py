@@ -9,6 +9,7 @@ import numpy as np
 
 from drone_client.clock_offset import Echo, OffsetEstimate, one_way
 from drone_client.control import Decision
+from drone_client.onboard import Look, LookVerdict
 from drone_client.reception import Reception
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import Result, pose_numbers, unpack_covariance
@@ -73,6 +74,37 @@ def decision_record(decision: Decision) -> dict[str, Any]:
             "status": safe.status.value,
         }
     return record
+
+
+def look_record(verdict: LookVerdict, look: Look | None) -> dict[str, Any]:
+    """What became of a frame on board, and what was measured in it."""
+    record: dict[str, Any] = {"verdict": verdict.value}
+    if look is None:
+        return record
+    record |= {
+        "detail": look.detail or None,
+        "distance2": None if look.distance2 is None else _finite(look.distance2),
+        "shades_share": None if look.shades_share is None else _finite(look.shades_share),
+    }
+    if (found := look.localisation) is not None:
+        record |= {
+            "method": found.method.value,
+            "camera_from_target": list(pose_numbers(found.camera_from_target)),
+        }
+    if (estimate := look.estimate) is not None:
+        variances = np.diag(estimate.covariance)
+        record |= {
+            "source": estimate.source.value,
+            "world_from_target": _pose(estimate.world_from_target),
+            "sigma_mm": [_root(v, 1e3) for v in variances[:3]],
+            "sigma_deg": [_root(v, math.degrees(1)) for v in variances[3:]],
+            "unconfirmed_ms": _ms(estimate.unconfirmed_ns(estimate.t_capture_ns)),
+        }
+    return record
+
+
+def _root(variance: float, unit: float) -> float:
+    return round(math.sqrt(max(0.0, variance)) * unit, 4)
 
 
 def one_way_record(result: Result, t4_ns: int, estimate: OffsetEstimate | None) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from drone_client.autopilot.memory import MemoryAutopilot
 from drone_client.cbf.settings import FilterSettings
 from drone_client.control import ControlSettings
 from drone_client.errors import LinkError
-from drone_client.flight import Flight, FlightSettings, Tally
-from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME, Ledger
+from drone_client.flight import Flight, FlightSettings, OwnEyesSettings, Tally
+from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, ONBOARD_NAME, TICKS_NAME, Ledger
 from drone_client.link import Link
 from drone_client.link.choose import link_summary
 from drone_client.link.diagnosis import diagnose
@@ -33,6 +33,7 @@ from drone_client.uplink import UplinkSettings
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.tls_files import tls_files
+from target_pose.target import load_round_target
 
 SUMMARY_NAME: Final = "summary.json"
 MAX_KNOCKS = 4
@@ -53,8 +54,22 @@ class ReplayOptions:
 
 
 def flight_settings(settings: ClientSettings) -> FlightSettings:
-    """The parts' settings out of the client's: every bound is stated once, in ``settings``."""
-    control = ControlSettings(filter=replace(FilterSettings(), period_s=1.0 / settings.control_hz))
+    """The parts' settings out of the client's: every bound is stated once, in ``settings``.
+
+    Raises:
+        TargetFileError: the target of the drone's own eyes cannot be read.
+    """
+    control = ControlSettings(
+        filter=replace(
+            FilterSettings(),
+            period_s=1.0 / settings.control_hz,
+            unconfirmed_mps=settings.onboard_growth_mm_s / 1e3,
+        )
+    )
+    own_eyes = None
+    if settings.onboard_fallback:
+        alone_max_ns = round(settings.onboard_max_s * 1e9)
+        own_eyes = OwnEyesSettings(load_round_target(settings.onboard_target), alone_max_ns)
     return FlightSettings(
         uplink=UplinkSettings(
             drone=settings.name,
@@ -73,6 +88,7 @@ def flight_settings(settings: ClientSettings) -> FlightSettings:
         control=control,
         control_hz=settings.control_hz,
         reply_timeout_ns=round(settings.reply_timeout_ms * NS_PER_MS),
+        own_eyes=own_eyes,
     )
 
 
@@ -117,8 +133,10 @@ def replay(
     Raises:
         ClientError: the output folder cannot be written, a picture cannot be read, or there is no
             worker.
+        TargetFileError: the target of the drone's own eyes cannot be read.
     """
-    ledger = Ledger(options.out, overwrite=options.overwrite)
+    parts = flight_settings(settings)
+    ledger = Ledger(options.out, overwrite=options.overwrite, own_eyes=settings.onboard_fallback)
     stop = threading.Event()
     playback: Playback
     if options.as_fast_as_possible:
@@ -126,7 +144,7 @@ def replay(
     else:
         playback = RealTime(source, airframe, clock, stop)
     flight = Flight(
-        flight_settings(settings),
+        parts,
         airframe,
         link,
         MemoryAutopilot(),
@@ -162,6 +180,7 @@ def replay(
     frames = read_lines(options.out / LEDGER_NAME)
     ticks = read_lines(options.out / TICKS_NAME)
     events = read_lines(options.out / EVENTS_NAME)
+    looks = read_lines(options.out / ONBOARD_NAME) if settings.onboard_fallback else None
     summary = {
         "drone": settings.name,
         "connect": settings.connect,
@@ -169,7 +188,7 @@ def replay(
         "age_max_ms": settings.age_max_ms,
         "as_fast_as_possible": options.as_fast_as_possible,
         "interrupted": interrupted,
-        **summarise(frames, ticks, events, options.truth),
+        **summarise(frames, ticks, events, options.truth, looks),
         "standings": standings,
         "same_name_workers": same_name,
         "link": link_at_end,

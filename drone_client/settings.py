@@ -15,6 +15,7 @@ from drone_client.gate import GateSettings
 from drone_client.ros.names import Flavour
 from rgbd_wire.color import DEFAULT_JPEG_QUALITY
 from rgbd_wire.streams import FRAME, RESULT
+from target_pose.target import DEFAULT_TARGET
 
 ENV_PREFIX = "DRONE_"
 NS_PER_MS = 1_000_000
@@ -78,6 +79,32 @@ class ClientSettings(BaseSettings):
     )
     ros_flavour: Flavour = Field(
         Flavour.BRIDGE, description="bridge: zenoh-bridge-ros2dds; rmw_zenoh: nodes that speak it"
+    )
+    onboard_fallback: bool = Field(
+        False,
+        description="while no fresh result is left, look for the target on board, where the last "
+        "accepted pose and the drone's own motion put it; needs no network",
+    )
+    onboard_target: str = Field(
+        DEFAULT_TARGET,
+        min_length=1,
+        max_length=1000,
+        description="what hangs there, for --onboard-fallback: the name of a packaged target, or "
+        "the path of a target's TOML file; the same as the service's EDGE_TARGET",
+    )
+    onboard_max_s: float = Field(
+        5.0,
+        ge=0.5,
+        le=30,
+        description="so long after the last accepted pose the drone goes on by its own eyes [s]; "
+        "then it holds, stops and retreats as without them",
+    )
+    onboard_growth_mm_s: float = Field(
+        10.0,
+        ge=1,
+        le=100,
+        description="by how much the safety filter's error ball grows while nobody confirms what "
+        "is seen on board [mm/s]: a long outage turns into a retreat by itself",
     )
     control_hz: float = Field(50.0, ge=1, le=500, description="rate of the control loop [Hz]")
     wait_for_worker_s: float = Field(

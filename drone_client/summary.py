@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from drone_client.gate import Verdict
+from drone_client.onboard_summary import summarise_onboard
 from drone_client.truth import TruthEntry, normal_error_rad, position_error_m
 from rgbd_wire.messages import Outcome, pose_of
 
@@ -35,6 +36,7 @@ def summarise(
     ticks: Sequence[dict[str, Any]],
     events: Sequence[dict[str, Any]],
     truth: Sequence[TruthEntry],
+    looks: Sequence[dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Summary of a ledger.
 
@@ -43,6 +45,7 @@ def summarise(
         ticks: lines of ``ticks.jsonl``.
         events: lines of ``events.jsonl``.
         truth: per capture; empty where nobody knows.
+        looks: lines of ``onboard.jsonl``; None: the drone had no eyes of its own.
     """
     answered = [f for f in frames if f["fate"] == "answered"]
     accepted = [f for f in answered if f["verdict"] == Verdict.ACCEPTED.value]
@@ -80,6 +83,7 @@ def summarise(
         "freshness": _counts(t["freshness"] for t in ticks if "freshness" in t),
         "statuses": _counts(t["status"] for t in ticks if "status" in t),
         "h_min_m": min((t["h_m"] for t in ticks if t.get("h_m") is not None), default=None),
+        "onboard": None if looks is None else summarise_onboard(looks, ticks, truth),
     }
     if truth:
         summary["truth"] = _against_truth(frames, truth)

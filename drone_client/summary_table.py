@@ -50,6 +50,8 @@ def summary_rows(summary: dict[str, Any]) -> dict[str, str]:
         "filter": counts("statuses"),
         "knowledge": counts("freshness"),
     }
+    if (own := summary.get("onboard")) is not None:
+        rows |= _onboard_rows(own)
     if (t := summary.get("truth")) is not None:
         error_mm = t["position_error_mm"]
         rows["against truth"] = (
@@ -70,6 +72,20 @@ def summary_rows(summary: dict[str, Any]) -> dict[str, str]:
             f"{summary['one_way_bound_ms']['p50']:.1f} (to look at; the gate never asks)"
         )
     return rows | _tunnel_rows(summary["link"]) | _warnings(summary)
+
+
+def _onboard_rows(own: dict[str, Any]) -> dict[str, str]:
+    """What the drone saw by itself."""
+    verdicts = ", ".join(f"{n} {key}" for key, n in own["verdicts"].items()) or "none"
+    rows = {"own eyes": f"{own['frames']} frames without a fresh result: {verdicts}"}
+    if own["bridges"]:
+        took = own["look_ms"]
+        rows["bridges"] = (
+            f"{own['bridges']}, longest {own['longest_bridge_ms'] / 1e3:.2f} s; "
+            f"{own['share_of_ticks']:.1%} of all ticks flown on own eyes"
+            + ("" if took is None else f"; a look takes {took['p50']:.0f} ms")
+        )
+    return rows
 
 
 def _tunnel_rows(link: dict[str, Any]) -> dict[str, str]:

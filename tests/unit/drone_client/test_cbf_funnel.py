@@ -94,8 +94,9 @@ def test_the_mouth_is_where_contact_is_allowed(rho, angle) -> None:
 @given(funnels, points | near_axis, deltas, points, st.floats(0, 1))
 def test_the_robust_form_bounds_h_over_the_whole_ball(funnel, p, delta, direction, depth) -> None:
     """Wherever in the ball the true tip is, its h is at least the robust one at the estimate."""
-    length = math.hypot(*direction) or 1.0
-    true_tip = tuple(np.array(p) + depth * delta / length * np.array(direction))
+    length = math.hypot(*direction)
+    unit = np.array(direction) / length if length > 1e-300 else np.zeros(3)
+    true_tip = tuple(np.array(p) + depth * delta * unit)
     assert funnel.h(true_tip) >= funnel.h(p, delta) - 1e-12
 
 
