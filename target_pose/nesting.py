@@ -5,18 +5,23 @@ Two checks throw them out. *Geometry*: the boxes are concentric and their sizes 
 ratios, as far as tilt (to 70 degrees), perspective, a few pixels of error and a cut by the border
 allow. *Shades*: along rays from the centre, each printed ring is darker or lighter than its
 neighbour as the target's file says, whatever the light.
+
+A target of points alone has one level, in which nothing nests: there each box is a candidate, and
+the localiser looks whether its points are where a pose would put them (``pnp_points``).
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from target_pose.candidate import Box, Candidate, Detections
+from target_pose.points import PointPx
 from target_pose.rings import is_board, shades_share
 from target_pose.target import Level, Target
 
@@ -57,13 +62,15 @@ def group(
     """The targets among a picture's boxes, best first; none has its centre in a better one.
 
     One level may be missing (too small when far, out of the picture when near); a lone box is no
-    target, however sure.
+    target, however sure, unless the target has no discs.
 
     Args:
         detections: Boxes per level, best first.
         target: Sizes and shades.
         color_rgb: (H, W, 3), the picture of the boxes.
     """
+    if not target.discs:
+        return _lone(detections, target)
     size = (color_rgb.shape[1], color_rgb.shape[0])
     boxes = {level: detections.boxes.get(level, ())[:MAX_BOXES] for level in Level}
     proposals = [
@@ -81,8 +88,27 @@ def group(
         share = shades_share(np.asarray(gray, np.uint8), chosen, target)
         both = _with_shades(score, share)
         if share >= MIN_SHADES_SHARE and both >= MIN_SCORE:
-            found.append(Candidate(chosen, both))
+            surest = max(chosen.values(), key=lambda box: box.score)
+            found.append(Candidate(chosen, both, _by_name(surest, target)))
     return tuple(sorted(found, key=lambda c: c.score, reverse=True))
+
+
+def _lone(detections: Detections, target: Target) -> tuple[Candidate, ...]:
+    """Each box that has the target's points, best first."""
+    found: list[Candidate] = []
+    for box in detections.boxes.get(Level.GOOD, ())[:MAX_BOXES]:
+        points = _by_name(box, target)
+        boxes = {Level.GOOD: box}
+        if points and not any(_same_place(boxes, other) for other in found):
+            found.append(Candidate(boxes, box.score, points))
+    return tuple(found)
+
+
+def _by_name(box: Box, target: Target) -> Mapping[str, PointPx]:
+    """The labelled points that the net gave with a box; none unless it gave all."""
+    if not box.points or len(box.points) != len(target.points):
+        return {}
+    return {point.name: seen for point, seen in zip(target.points, box.points, strict=True)}
 
 
 def _with_shades(score: float, shades_share: float) -> float:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rgbd_wire.camera import CameraIntrinsics
 from target_pose.candidate import Box, Detections
 from target_pose.nesting import MAX_BOXES, SHADES_WEIGHT, group, nests
+from target_pose.points import BoardPoint, PointPx
 from target_pose.target import Disc, Level, Shade, Target, load_target
 from tests.unit.target_pose.render import Look, facing_pose, render_color, true_box
 
@@ -290,3 +291,37 @@ def test_another_target_is_judged_by_its_own_file():
     boxes, picture = _head_on()
     assert group(_detections(boxes), mine, picture) == ()
     assert len(group(_detections(boxes), mine, 255 - picture)) == 1
+
+
+def test_a_box_with_the_points_of_a_target_without_discs_is_a_candidate():
+    """One class has nothing to nest: each box that has all points is one, the best in its place."""
+    points = tuple(BoardPoint(f"p{k}", 0.1 * k - 0.15, 0.1 * (k % 2)) for k in range(4))
+    panel = Target("panel", 0.4, Shade.WHITE, (), {Level.GOOD: 0.4}, points=points)
+    seen = tuple(PointPx(50.0 + 10 * k, 60.0, 0.9) for k in range(4))
+    best = Box(40, 40, 100, 100, 0.9, seen)
+    worse = dataclasses.replace(best, x1=104, score=0.6)
+    elsewhere = dataclasses.replace(best, x0=200, x1=260, score=0.5)
+    pointless = Box(10, 200, 30, 220, 0.95)
+    short = dataclasses.replace(elsewhere, y0=150, y1=200, points=seen[:3])
+    boxes = {Level.GOOD: (pointless, best, worse, elsewhere, short), Level.BEST: (best,)}
+    found = group(Detections(boxes), panel, np.zeros((240, 320, 3), np.uint8))
+    assert [(c.boxes, c.score) for c in found] == [
+        ({Level.GOOD: best}, 0.9),
+        ({Level.GOOD: elsewhere}, 0.5),
+    ]
+    assert found[0].points == {f"p{k}": seen[k] for k in range(4)}
+
+
+def test_a_bullseyes_candidate_has_the_points_of_its_surest_box():
+    """And none where the net gave none."""
+    boxes, picture = _head_on()
+    points = tuple(BoardPoint(f"p{k}", 0.1 * k - 0.15, 0.1 * (k % 2)) for k in range(4))
+    target = dataclasses.replace(TARGET, points=points)
+    seen = tuple(PointPx(150.0 + k, 110.0, 0.9) for k in range(4))
+    other = tuple(PointPx(10.0, 10.0, 0.9) for _ in range(4))
+    boxes[Level.BEST] = dataclasses.replace(boxes[Level.BEST], score=0.99, points=seen)
+    boxes[Level.GOOD] = dataclasses.replace(boxes[Level.GOOD], points=other)
+    (found,) = group(_detections(boxes), target, picture)
+    assert found.points == {f"p{k}": seen[k] for k in range(4)}
+    (found,) = group(_detections(boxes), TARGET, picture)
+    assert found.points == {}
