@@ -35,6 +35,10 @@ app = typer.Typer(
 Target = Annotated[
     str | None, typer.Option(help="Name of a packaged target or path of a target TOML.")
 ]
+Method = Annotated[
+    str | None,
+    typer.Option(help="fused (default): circles and depth. pnp: points, of any planar target."),
+]
 Engine = Annotated[
     str | None, typer.Option(help="torch (default), onnxruntime or openvino (extras).")
 ]
@@ -87,6 +91,7 @@ def serve(
     http: Annotated[str | None, typer.Option(help="HOST:PORT of the HTTP side.")] = None,
     name: Annotated[str | None, typer.Option(help="This worker's name.")] = None,
     target: Target = None,
+    method: Method = None,
     engine: Engine = None,
     weights: Weights = None,
     classes: Classes = None,
@@ -108,6 +113,7 @@ def serve(
         http=http,
         name=name,
         target=target,
+        method=method,
         engine=engine,
         weights=weights,
         classes=classes,
@@ -135,6 +141,7 @@ def localize(
         False
     ),
     target: Target = None,
+    method: Method = None,
     engine: Engine = None,
     weights: Weights = None,
     classes: Classes = None,
@@ -144,6 +151,7 @@ def localize(
     """Find the target in one picture; exit code 1 when there is none."""
     settings = load_settings(
         target=target,
+        method=method,
         engine=engine,
         weights=weights,
         classes=classes,

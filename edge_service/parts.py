@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from edge_service.detector.engines import open_engine
 from edge_service.detector.self_check import require, self_check
-from edge_service.errors import SelfCheckError
+from edge_service.errors import SelfCheckError, SettingsError, WeightsError
 from edge_service.guarded import GuardedDetector
-from edge_service.pipeline import Pipeline
+from edge_service.pipeline import Localise, Pipeline
 from edge_service.settings import EdgeSettings
 from edge_service.transport import Transport
 from edge_service.transport.several import SeveralTransports
@@ -24,7 +26,11 @@ from rgbd_wire.tunnel.errors import KeyFileError
 from rgbd_wire.tunnel.keys import KeyFile
 from target_pose.localise import localise
 from target_pose.nesting import group
-from target_pose.target import load_target
+from target_pose.pnp import localise_pnp
+from target_pose.target import Level, Target, load_target
+
+METHODS: Mapping[str, Localise] = MappingProxyType({"fused": localise, "pnp": localise_pnp})
+"""What localises a candidate, by the setting's name."""
 
 _LOOPBACK = re.compile(r"[a-z]+/(127\.[\d.]+|localhost|\[::1\]):\d+$")
 
@@ -42,10 +48,16 @@ def make_pipeline(settings: EdgeSettings, clock: Clock, *, check: bool = False) 
 
     Raises:
         TargetFileError: the target cannot be read.
-        WeightsError: the weights cannot be used.
+        SettingsError: the method needs what the target has not.
+        WeightsError: the weights cannot be used, or not for this target.
         SelfCheckError: the detector does not find the target.
     """
     target = load_target(settings.target)
+    if settings.method == "fused" and not target.discs:
+        raise SettingsError(
+            f"target {target.name} has [[points]] and no [[discs]], and --method (EDGE_METHOD) "
+            "fused fits discs: choose --method pnp"
+        )
     detector = open_engine(
         settings.engine,
         settings.weights,
@@ -54,9 +66,14 @@ def make_pipeline(settings: EdgeSettings, clock: Clock, *, check: bool = False) 
         device=settings.device,
         classes=settings.classes,
         cache=settings.model_cache,
+        points=len(target.points),
     )
+    _check_levels(detector.describe(), target, settings.weights)
     told: dict[str, Any] = {}
-    if check and settings.self_check != "off":
+    if check and settings.self_check != "off" and not target.discs:
+        told = {"self_check": f"none: {target.name} has no discs that could be drawn"}
+        log.info("self-check", extra=told)
+    elif check and settings.self_check != "off":
         result = self_check(detector, target)
         told = {
             "self_check": f"found {result.found} of {result.drawn} drawn targets",
@@ -74,11 +91,33 @@ def make_pipeline(settings: EdgeSettings, clock: Clock, *, check: bool = False) 
         GuardedDetector(detector, told),
         target,
         group,
-        localise,
+        METHODS[settings.method],
         clock,
+        method=settings.method,
         max_candidates=settings.max_candidates,
         world_is_level=settings.world_is_level,
     )
+
+
+def _check_levels(told: Mapping[str, Any], target: Target, weights: Path | None) -> None:
+    """Refuse a detector that gives nothing by which a target without discs could be found.
+
+    Raises:
+        WeightsError: says what it lacks, and what to do.
+    """
+    if target.discs:
+        return
+    what = f"weights {weights}" if weights else "the packaged weights"
+    if not told.get("points"):
+        raise WeightsError(
+            f"{what} give no key points, by which alone {target.name} is found: name a YOLOv8 or "
+            "v11 pose export with --weights (EDGE_WEIGHTS) and --engine onnxruntime or openvino"
+        )
+    if Level.GOOD not in told["levels"]:
+        raise WeightsError(
+            f"{what} know {', '.join(told['levels'])}; the box of a target of points is "
+            f"{Level.GOOD}: say which class it is with --classes (EDGE_CLASSES)"
+        )
 
 
 @dataclass(frozen=True, slots=True)

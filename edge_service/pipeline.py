@@ -70,7 +70,7 @@ Group: TypeAlias = Callable[[Detections, Target, NDArray[np.uint8]], tuple[Candi
 
 
 class Localise(Protocol):
-    """Pose of one candidate; ``target_pose.localise.localise``."""
+    """Pose of one candidate; ``target_pose.localise.localise`` or ``pnp.localise_pnp``."""
 
     def __call__(
         self,
@@ -121,6 +121,8 @@ class Pipeline:
     world_is_level: bool = True
     """``world_from_camera`` is ENU, so its z may tell which of the board's edges is the upper one.
     The circles and edges themselves never need it."""
+    method: str = "fused"
+    """What ``localise`` is called in the settings, for people."""
 
     def process(self, packed: PackedFrame) -> Output:
         """Decode a received frame and look for the target in it."""

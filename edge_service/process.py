@@ -86,6 +86,7 @@ def _bring_up(settings: EdgeSettings, state: ServiceState) -> EdgeService:
         f"{detector['engine']} {detector['precision']}, {detector['threads']} threads"
         + (f", {detector['detect_p50_ms']:.1f} ms" if "detect_p50_ms" in detector else "")
     )
+    _say(f"target {pipeline.target.name}, method {pipeline.method}")
     service = EdgeService(settings, pipeline, links.transport, state, clock)
     service.start()
     return service

@@ -107,6 +107,11 @@ class EdgeSettings(BaseSettings):
         max_length=1000,
         description="Name of a packaged target, or the path of a target's TOML file.",
     )
+    method: Literal["fused", "pnp"] = Field(
+        "fused",
+        description="How a target is localised: fused, from its circles and the depth's plane; "
+        "pnp, from points: the [[points]] of a target's file, or the corners of a board.",
+    )
     engine: Literal["torch", "onnxruntime", "openvino"] = Field(
         "torch", description="What runs the detector; the other two are extras of the package."
     )

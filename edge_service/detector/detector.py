@@ -20,6 +20,7 @@ from edge_service.detector.letterbox import (
 from edge_service.detector.nms import suppress
 from edge_service.errors import EdgeError
 from target_pose.candidate import Box, Detections
+from target_pose.points import PointPx
 from target_pose.target import Level
 
 SCORE_THRESHOLD = 0.25
@@ -96,6 +97,7 @@ class EngineDetector:
             "name": model.name,
             "target": model.target,
             "levels": [level.value for level in model.layout.levels],
+            "points": model.layout.points,
             "model_hash": model.sha256,
             "layout": model.layout.name,
             **model.facts,
@@ -151,12 +153,24 @@ class EngineDetector:
         """The boxes of one picture of a batch."""
         read = self._model.layout.read(outputs, row, size, self._score_threshold)
         found: dict[Level, tuple[Box, ...]] = {}
-        for level, (boxes, scores) in read.items():
-            boxes = back.to_picture(boxes)
+        for level, (raw, scores, raw_points) in read.items():
+            boxes = back.to_picture(raw)
             kept = suppress(boxes, scores, NMS_IOU, MAX_BOXES_PER_LEVEL)
-            rows = zip(boxes[kept].tolist(), scores[kept].tolist(), strict=True)
-            found[level] = tuple(Box(x0, y0, x1, y1, s) for (x0, y0, x1, y1), s in rows)
+            points = _points(None if raw_points is None else raw_points[kept], back, len(kept))
+            rows = zip(boxes[kept].tolist(), scores[kept].tolist(), points, strict=True)
+            found[level] = tuple(Box(x0, y0, x1, y1, s, p) for (x0, y0, x1, y1), s, p in rows)
         return Detections(found)
+
+
+def _points(
+    raw: NDArray[np.float32] | None, back: Letterbox, boxes: int
+) -> list[tuple[PointPx, ...]]:
+    """The key points of each box, in the picture's pixels; none where the net has none."""
+    if raw is None:
+        return [()] * boxes
+    places = back.points_to_picture(raw[..., :2])
+    whole = np.concatenate([places, raw[..., 2:]], axis=-1).tolist()
+    return [tuple(PointPx(*point) for point in row) for row in whole]
 
 
 def check_threshold(score_threshold: float) -> None:

@@ -47,6 +47,7 @@ def open_engine(
     score_threshold: float = SCORE_THRESHOLD,
     classes: str | None = None,
     cache: Path | None = None,
+    points: int = 0,
 ) -> EngineDetector:
     """A detector that runs on the engine of this name, warm.
 
@@ -60,6 +61,7 @@ def open_engine(
         score_threshold: boxes at or below are dropped.
         classes: of a foreign ONNX model without names: comma-separated, in its order.
         cache: folder for conversions; None: ``~/.cache/aerial-contact``.
+        points: labelled points of the target, which a foreign pose model gives as key points.
 
     Raises:
         WeightsError: the file cannot be used, or not by this engine.
@@ -70,7 +72,7 @@ def open_engine(
         raise EdgeError(f"engine {name!r} is not one of {', '.join(ENGINES)}")
     path = weights or DEFAULT_WEIGHTS
     if name != "torch":
-        return _on_onnx(name, path, threads, precision, score_threshold, classes, cache)
+        return _on_onnx(name, path, threads, precision, score_threshold, classes, cache, points)
     kind, _ = read_model_file(path)
     if kind is Kind.ONNX:
         raise WeightsError(
@@ -97,6 +99,7 @@ def _on_onnx(
     score_threshold: float,
     classes: str | None,
     cache: Path | None,
+    points: int,
 ) -> EngineDetector:
     check_threads(threads)
     check_threshold(score_threshold)
@@ -113,7 +116,7 @@ def _on_onnx(
     threads = threads or available_cpus()
     engine, backend = _runtime(name, file, threads, precision)
     blank = np.zeros((1, *(file.size or WARM_UP_SIZE), 3), np.uint8)
-    model = model_of(file, engine.infer(blank), classes)
+    model = model_of(file, engine.infer(blank), classes, points)
     if onnx_path != path:  # known by what was asked for, whatever it was converted to
         if file.metadata.get("weights_sha256") != sha256(data):
             raise WeightsError(f"model cache {onnx_path}: of other weights; remove the file")

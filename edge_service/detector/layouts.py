@@ -8,7 +8,11 @@ Three layouts are read, all of RGB in [0, 1] as (B, 3, H, W):
 - ``end_to_end``: one output (B, N, 6), as models with suppression inside export it: x0, y0, x1, y1
   in pixels of the input, score, index of the class.
 
-In the last two a coordinate counts from the left edge of the first pixel, ours from its centre.
+Pose exports of the last two kinds have key points beside each box: ``yolo`` (B, 4 + K + 3 P, N),
+``end_to_end`` (B, N, 6 + 3 P), for each of P points x, y and a confidence after the sigmoid, or
+without the confidence 2 P. They are the target's labelled points in its order.
+
+In all but our own a coordinate counts from the left edge of the first pixel, ours from its centre.
 Only what passes the threshold is turned into scores and boxes: of 6300 cells a few dozen.
 """
 
@@ -37,6 +41,28 @@ class Found(NamedTuple):
     boxes: NDArray[np.float32]  # (K, 4)
     """x0, y0, x1, y1 [px of the input], from pixel centres."""
     scores: NDArray[np.float32]  # (K,)
+    points: NDArray[np.float32] | None = None  # (K, P, 3)
+    """x, y [px of the input], from pixel centres, and confidence of each box's key points."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeyPoints:
+    """Where a foreign model's answer about a box has its key points."""
+
+    first: int
+    """Place of the first number of the first point."""
+    count: int
+    numbers: int
+    """Of each point: 3, or 2 without a confidence."""
+
+    def read(self, answers: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Points (K, P, 3) of answers (K, M), one a box."""
+        end = self.first + self.count * self.numbers
+        given = answers[:, self.first : end].reshape(-1, self.count, self.numbers)
+        points = np.ones((*given.shape[:2], 3), np.float32)
+        points[..., : self.numbers] = given
+        points[..., :2] -= np.float32(0.5)
+        return points
 
 
 class Layout(Protocol):
@@ -50,6 +76,11 @@ class Layout(Protocol):
     @property
     def levels(self) -> tuple[Level, ...]:
         """Levels that the net knows."""
+        ...
+
+    @property
+    def points(self) -> int:
+        """Key points that it gives with each box."""
         ...
 
     def read(
@@ -72,6 +103,7 @@ class CellLayout:
 
     levels: tuple[Level, ...]
     name: str = "cells"
+    points: int = 0
 
     def read(
         self, outputs: Outputs, row: int, size: tuple[int, int], threshold: float
@@ -97,11 +129,17 @@ class YoloLayout:
     columns: dict[Level, int]
     """Which class each level is."""
     name: str = "yolo"
+    key_points: KeyPoints | None = None
 
     @property
     def levels(self) -> tuple[Level, ...]:
         """Levels that the net knows."""
         return tuple(self.columns)
+
+    @property
+    def points(self) -> int:
+        """Key points that it gives with each box."""
+        return 0 if self.key_points is None else self.key_points.count
 
     def read(
         self, outputs: Outputs, row: int, size: tuple[int, int], threshold: float
@@ -114,7 +152,8 @@ class YoloLayout:
             at = _best(scores, threshold)
             center, half = whole[:2, at].T, whole[2:4, at].T / 2
             boxes = np.concatenate((center - half, center + half), 1) - np.float32(0.5)
-            found[level] = Found(boxes, scores[at])
+            points = None if self.key_points is None else self.key_points.read(whole[:, at].T)
+            found[level] = Found(boxes, scores[at], points)
         return found
 
 
@@ -125,11 +164,17 @@ class EndToEndLayout:
     columns: dict[Level, int]
     """Which class each level is."""
     name: str = "end_to_end"
+    key_points: KeyPoints | None = None
 
     @property
     def levels(self) -> tuple[Level, ...]:
         """Levels that the net knows."""
         return tuple(self.columns)
+
+    @property
+    def points(self) -> int:
+        """Key points that it gives with each box."""
+        return 0 if self.key_points is None else self.key_points.count
 
     def read(
         self, outputs: Outputs, row: int, size: tuple[int, int], threshold: float
@@ -140,7 +185,8 @@ class EndToEndLayout:
         for level, column in self.columns.items():
             scores = np.where(np.round(whole[:, 5]) == column, whole[:, 4], np.float32(0))
             at = _best(scores, threshold)
-            found[level] = Found(whole[at, :4] - np.float32(0.5), scores[at])
+            points = None if self.key_points is None else self.key_points.read(whole[at])
+            found[level] = Found(whole[at, :4] - np.float32(0.5), scores[at], points)
         return found
 
 

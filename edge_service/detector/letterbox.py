@@ -30,9 +30,14 @@ class Letterbox:
 
     def to_picture(self, boxes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Boxes (..., 4) of the input in the picture's pixels (both count from pixel centres)."""
-        scale = np.array([self.scale_u, self.scale_v] * 2, np.float32)
-        shift = np.array([self.left_px, self.top_px] * 2, np.float32)
-        return np.asarray((boxes - shift + 0.5) / scale - 0.5, np.float32)
+        corners = boxes.reshape(*boxes.shape[:-1], 2, 2)
+        return self.points_to_picture(corners).reshape(boxes.shape)
+
+    def points_to_picture(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Points (..., 2) of the input in the picture's pixels."""
+        scale = np.array([self.scale_u, self.scale_v], np.float32)
+        shift = np.array([self.left_px, self.top_px], np.float32)
+        return np.asarray((points - shift + 0.5) / scale - 0.5, np.float32)
 
 
 def check_image(color_rgb: NDArray[np.uint8]) -> None:

@@ -71,6 +71,26 @@ class OnnxFile:
                 f"weights {self.path}: metadata names {text[:60]!r} is no list of class names"
             ) from None
 
+    @property
+    def key_points(self) -> tuple[int, int] | None:
+        """Key points of a foreign pose model and numbers of each, from its metadata ``kpt_shape``.
+
+        Raises:
+            WeightsError: there is one, and it cannot be read.
+        """
+        text = self.metadata.get("kpt_shape")
+        if text is None:
+            return None
+        try:
+            count, numbers = ast.literal_eval(text[:MAX_NAME_CHARACTERS])
+            if not (type(count) is type(numbers) is int and count > 0 and numbers in (2, 3)):
+                raise ValueError(text)
+        except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
+            raise WeightsError(
+                f"weights {self.path}: metadata kpt_shape {text[:60]!r} is not [points, 2 or 3]"
+            ) from None
+        return count, numbers
+
 
 def read_onnx(path: Path) -> OnnxFile:
     """Read and check an ONNX file.

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from edge_service.detector.detector import Model
 from edge_service.detector.grid import SIZE_MULTIPLE_PX, STRIDES
-from edge_service.detector.layouts import CellLayout, EndToEndLayout, Layout, Outputs, YoloLayout
+from edge_service.detector.layouts import (
+    CellLayout,
+    EndToEndLayout,
+    KeyPoints,
+    Layout,
+    Outputs,
+    YoloLayout,
+)
 from edge_service.detector.onnx_file import OnnxFile
 from edge_service.errors import WeightsError
 from target_pose.target import Level
@@ -18,11 +25,11 @@ IGNORED = "-"
 _LEVELS = tuple(level.value for level in Level)
 _READ = (
     "read are (1, 4 + classes, N) as YOLOv8 and v11 export it, and (1, N, 6) of models that "
-    "suppress by themselves"
+    "suppress by themselves; with 3 more for each of the target's [[points]] of pose exports"
 )
 
 
-def model_of(file: OnnxFile, outputs: Outputs, classes: str | None) -> Model:
+def model_of(file: OnnxFile, outputs: Outputs, classes: str | None, points: int = 0) -> Model:
     """How to read a model's answers.
 
     Args:
@@ -30,13 +37,15 @@ def model_of(file: OnnxFile, outputs: Outputs, classes: str | None) -> Model:
         outputs: its answer to one picture; the shapes count.
         classes: names of a foreign model's classes in their order, separated by commas; None:
             its metadata have them.
+        points: labelled points that the target has.
 
     Raises:
-        WeightsError: its outputs fit no layout, or its classes are not known.
+        WeightsError: its outputs fit no layout, its classes are not known, or its key points are
+            not as many as the target's points.
     """
     if file.is_ours:
         return _own(file, outputs)
-    layout = _foreign_layout(file, outputs, classes)
+    layout = _foreign_layout(file, outputs, classes, points)
     facts = {"weights_version": None, "parameters": file.parameters}
     return Model(file.path.stem, None, file.sha256, layout, file.size, facts)
 
@@ -72,7 +81,7 @@ def _own(file: OnnxFile, outputs: Outputs) -> Model:
     return Model(file.path.stem, told.get("target"), file.sha256, layout, None, facts)
 
 
-def _foreign_layout(file: OnnxFile, outputs: Outputs, classes: str | None) -> Layout:
+def _foreign_layout(file: OnnxFile, outputs: Outputs, classes: str | None, points: int) -> Layout:
     shapes = [tuple(o.shape) for o in outputs]
     where = f"weights {file.path}"
     if len(shapes) != 1 or len(shapes[0]) != 3 or shapes[0][0] != 1:
@@ -88,15 +97,33 @@ def _foreign_layout(file: OnnxFile, outputs: Outputs, classes: str | None) -> La
             f"(EDGE_CLASSES), in the model's order, {IGNORED!r} for any other"
         )
     _, rows, width = shapes[0]
-    if rows == 4 + len(names):
-        return YoloLayout(columns)
-    if width == 6:
-        return EndToEndLayout(columns)
+    told = file.key_points
+    if told is not None and told[0] != points:
+        raise WeightsError(f"{where}: {_mismatch(told[0], points)}")
+    # without metadata: a box alone, or points with and without a confidence
+    for numbers in (0, 3, 2) if told is None else (told[1],):
+        more = numbers * points
+        if rows == 4 + len(names) + more:
+            return YoloLayout(columns, key_points=_key_points(4 + len(names), points, numbers))
+        if width == 6 + more:
+            return EndToEndLayout(columns, key_points=_key_points(6, points, numbers))
     hint = "; this looks like YOLOv5's, with objectness" if width == 5 + len(names) else ""
+    seen, rest = divmod(rows - 4 - len(names), 3)
+    if not hint and seen > 0 and not rest:
+        hint = f"; this looks like {_mismatch(seen, points)}"
     raise WeightsError(
         f"{where}: output of shape {shapes[0]} with {len(names)} classes is not known{hint}; "
         f"{_READ}"
     )
+
+
+def _key_points(first: int, count: int, numbers: int) -> KeyPoints | None:
+    return KeyPoints(first, count, numbers) if count and numbers else None
+
+
+def _mismatch(seen: int, points: int) -> str:
+    has = f"{points} [[points]]" if points else "no [[points]]"
+    return f"{seen} key points a box, and the target has {has}: number and order must be the same"
 
 
 def _names(file: OnnxFile, classes: str | None) -> tuple[str, ...]:

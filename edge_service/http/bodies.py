@@ -134,8 +134,10 @@ class TargetBody(_Body):
         description="6x6 of (translation, rotation vector), both in the camera frame "
         "[m^2, m rad, rad^2]: the true pose is translation + d, exp(r) @ rotation."
     )
-    method: str = Field(description="fused, ellipse, depth or box: from best evidence to weakest.")
-    roll_source: str = Field(description="What fixes the roll: edges, gravity or assumed.")
+    method: str = Field(
+        description="fused, ellipse, depth or box: from best evidence to weakest; pnp: by points."
+    )
+    roll_source: str = Field(description="What fixes the roll: edges, points, gravity or assumed.")
     ambiguous: bool = Field(description="Both folds fit; alternative is the other one.")
     alternative: PoseBody | None = Field(description="The other fold of the two conic poses.")
     score: float
@@ -220,4 +222,5 @@ class ModelBody(_Body):
     worker: str
     version: str
     target: dict[str, Any]
+    method: str = Field(description="How it is localised: fused or pnp.")
     detector: dict[str, Any]

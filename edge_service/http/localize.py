@@ -62,6 +62,7 @@ def localize_routes(state: ServiceState) -> APIRouter:
             worker=state.settings.name,
             version=metadata.version("aerial-contact"),
             target=dataclasses.asdict(pipeline.target),
+            method=pipeline.method,
             detector=pipeline.detector.describe(),
         )
         return answer(body)

@@ -12,6 +12,7 @@ from edge_service.detector.layouts import (
     MAX_CELLS_PER_LEVEL,
     CellLayout,
     EndToEndLayout,
+    KeyPoints,
     YoloLayout,
 )
 from target_pose.target import Level
@@ -66,3 +67,32 @@ def test_an_end_to_end_row_is_a_box_by_its_corners():
     found = EndToEndLayout({Level.BETTER: 1}).read((whole,), 0, SIZE, 0.25)
     assert set(found) == {Level.BETTER}
     assert found[Level.BETTER].boxes.tolist() == [[9.5, 19.5, 29.5, 39.5]]
+
+
+@pytest.mark.parametrize(("numbers", "confidence"), [(3, 0.75), (2, 1.0)])
+def test_a_pose_column_has_its_points_behind_the_classes(numbers, confidence):
+    """Point by point x, y and a confidence; without confidences all are as sure as can be."""
+    whole = np.zeros((1, 4 + 2 + 4 * numbers, 50), np.float32)
+    whole[0, :6, 3] = (20, 40, 20, 10, 0.1, 0.9)
+    points = np.array([(10, 35), (30, 36), (29, 45), (11, 44)], np.float32)
+    rows = np.column_stack([points, np.full(4, 0.75, np.float32)])[:, :numbers]
+    whole[0, 6:, 3] = rows.ravel()
+    layout = YoloLayout({Level.GOOD: 1}, key_points=KeyPoints(6, 4, numbers))
+    found = layout.read((whole,), 0, SIZE, 0.25)[Level.GOOD]
+    assert layout.points == 4
+    assert found.boxes.tolist() == [[9.5, 34.5, 29.5, 44.5]]
+    np.testing.assert_array_equal(found.points[0, :, :2], points - 0.5)
+    np.testing.assert_array_equal(found.points[0, :, 2], confidence)
+
+
+def test_an_end_to_end_pose_row_has_its_points_behind_the_class():
+    """As the box is read, so are its points; other rows are left out with theirs."""
+    rows = np.zeros((1, 3, 6 + 12), np.float32)
+    rows[0, 0, :6] = (10, 20, 30, 40, 0.9, 1)
+    rows[0, 0, 6:] = np.arange(12)
+    rows[0, 1, :6] = (10, 20, 30, 40, 0.9, 0)
+    layout = EndToEndLayout({Level.GOOD: 1}, key_points=KeyPoints(6, 4, 3))
+    found = layout.read((rows,), 0, SIZE, 0.25)[Level.GOOD]
+    np.testing.assert_array_equal(
+        found.points, [[(-0.5, 0.5, 2), (2.5, 3.5, 5), (5.5, 6.5, 8), (8.5, 9.5, 11)]]
+    )

@@ -47,6 +47,20 @@ def test_a_mark_in_a_shrunk_picture_maps_back_to_its_place():
     np.testing.assert_allclose(box[:2], [929.5, 219.5], atol=0.5)
 
 
+@given(
+    width=st.integers(16, 1400), height=st.integers(16, 1400), u=st.floats(0, 1), v=st.floats(0, 1)
+)
+@settings(max_examples=40, deadline=None)
+def test_points_come_back_as_the_corners_of_boxes_do(width, height, u, v):
+    """Into a net of one size, padded on both sides, and back."""
+    _, back = letterbox_into(np.zeros((height, width, 3), np.uint8), (256, 320))
+    box = np.array([[320 * u, 256 * v, 300.0, 200.0]], np.float32)
+    points = back.points_to_picture(box.reshape(1, 2, 2))
+    np.testing.assert_array_equal(points.reshape(1, 4), back.to_picture(box))
+    left_top = np.array([[back.left_px - 0.5, back.top_px - 0.5]], np.float32)
+    np.testing.assert_allclose(back.points_to_picture(left_top), [[-0.5, -0.5]], atol=1e-4)
+
+
 def test_a_picture_of_the_working_size_is_not_copied():
     """The common case costs nothing."""
     picture = np.zeros((480, 640, 3), np.uint8)
