@@ -140,6 +140,10 @@ def localize(
     json: Annotated[bool, typer.Option("--json", help="Print what POST /v1/localize answers.")] = (
         False
     ),
+    draw: Annotated[
+        Path | None,
+        typer.Option(help="Picture of what was found and how sure it is: .png or .jpg."),
+    ] = None,
     target: Target = None,
     method: Method = None,
     engine: Engine = None,
@@ -159,17 +163,24 @@ def localize(
         model_cache=model_cache,
     )
     configure(settings.log_level)
+    if draw is not None:
+        from edge_service.drawing.files import check_drawing_path
+
+        check_drawing_path(draw)
     color_file, camera_file = _read(color, "color"), _read(camera, "camera")
     depth_file = None if depth is None else _read(depth, "depth")
     from edge_service.handed_in import frame_of_files
-    from edge_service.one_frame import localise_frame, report  # loads torch
+    from edge_service.one_frame import draw_frame, localise_frame, report  # loads torch
 
-    body = localise_frame(frame_of_files(color_file, depth_file, camera_file), settings)
+    frame = frame_of_files(color_file, depth_file, camera_file)
+    seen = localise_frame(frame, settings)
+    if draw is not None:
+        draw_frame(draw, frame, seen)
     if json:
-        print(body.model_dump_json(indent=2))
+        print(seen.body.model_dump_json(indent=2))
     else:
-        _console().print(report(body))
-    raise typer.Exit(0 if body.target is not None else EXIT_NO_TARGET)
+        _console().print(report(seen.body))
+    raise typer.Exit(0 if seen.found else EXIT_NO_TARGET)
 
 
 @app.command("settings")

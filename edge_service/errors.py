@@ -8,7 +8,8 @@
     ├── ImageError     a picture that the detector cannot take
     ├── SettingsError  an EDGE_ variable or a flag that cannot be used
     ├── AddressError   an address that cannot be listened on or connected to
-    └── InputError     a picture or camera that somebody handed in and that cannot be used
+    ├── InputError     a picture or camera that somebody handed in and that cannot be used
+    └── OutputError    a file that cannot be written
 """
 
 from __future__ import annotations
@@ -36,6 +37,10 @@ class SettingsError(EdgeError):
 
 class AddressError(EdgeError):
     """An endpoint is malformed, taken or out of reach."""
+
+
+class OutputError(EdgeError):
+    """A file cannot be written where it should go."""
 
 
 class InputError(EdgeError):

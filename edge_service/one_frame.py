@@ -2,19 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
 from rich.table import Table
 
+from edge_service.drawing.draw import draw
+from edge_service.drawing.files import write_drawing
+from edge_service.drawing.findings import Findings, look
 from edge_service.http.bodies import EvidenceBody, LocalizeBody, TargetBody
 from edge_service.parts import make_pipeline
 from edge_service.settings import EdgeSettings
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.frame import RgbdFrame
+from target_pose.target import Target
 
 
-def localise_frame(frame: RgbdFrame, settings: EdgeSettings) -> LocalizeBody:
+@dataclass(frozen=True, slots=True, eq=False)
+class OneFrame:
+    """What was found in one frame, for scripts and for people."""
+
+    body: LocalizeBody
+    target: Target
+    findings: Findings
+
+    @property
+    def found(self) -> bool:
+        """There is a pose."""
+        return self.body.target is not None
+
+
+def localise_frame(frame: RgbdFrame, settings: EdgeSettings) -> OneFrame:
     """Load the detector and look for the target in one frame."""
     pipeline = make_pipeline(settings, MonotonicClock())
-    return LocalizeBody.of(pipeline.locate(frame), pipeline.detector.model_hash)
+    findings = look(pipeline, frame)
+    body = LocalizeBody.of(findings.output, pipeline.detector.model_hash)
+    return OneFrame(body, pipeline.target, findings)
+
+
+def draw_frame(path: Path, frame: RgbdFrame, seen: OneFrame) -> None:
+    """Write a picture of what was found.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    write_drawing(path, draw(frame.color_rgb, frame.camera.color, seen.target, seen.findings))
 
 
 def report(body: LocalizeBody) -> Table:

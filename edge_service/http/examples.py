@@ -19,7 +19,9 @@ CAMERA = """\
 
 CURL = """\
 curl -F color=@color.jpg -F depth=@depth.png -F camera=@camera.json \\
-  http://localhost:8080/v1/localize"""
+  http://localhost:8080/v1/localize
+curl -F color=@color.jpg -F camera=@camera.json -o found.png \\
+  'http://localhost:8080/v1/localize?draw=1'"""
 
 LOCALIZE_REQUEST: dict[str, Any] = {
     "required": True,

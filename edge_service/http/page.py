@@ -44,6 +44,7 @@ def _operation(path: str, method: str, operation: dict[str, Any]) -> str:
     body = operation.get("requestBody")
     if body is not None:
         parts.append(_prose(body["description"]))
+        parts.append(_form(path, body))
         for content in body["content"].values():
             parts.append(_fields(content["schema"]))
     for status, response in operation["responses"].items():
@@ -61,6 +62,23 @@ def _fields(schema: dict[str, Any]) -> str:
             rows.append(f"<pre>{_text(field['example'])}</pre>")
         rows.append("</dd>")
     return f"<dl>{''.join(rows)}</dl>"
+
+
+def _form(path: str, body: dict[str, Any]) -> str:
+    """A form that hands files in and shows the picture that comes back."""
+    rows = []
+    for content in body["content"].values():
+        required = content["schema"].get("required", [])
+        for name in content["schema"]["properties"]:
+            need = " required" if name in required else ""
+            rows.append(
+                f'<p><label>{_text(name)} <input type="file" name="{_text(name)}"{need}>'
+                "</label></p>"
+            )
+    return (
+        f'<form action="{_text(path)}?draw=1" method="post" enctype="multipart/form-data">'
+        f"{''.join(rows)}<p><button>Draw what is found</button></p></form>"
+    )
 
 
 def _response(status: str, response: dict[str, Any]) -> str:

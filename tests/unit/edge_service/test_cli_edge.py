@@ -82,6 +82,20 @@ def test_localize_prints_json_for_scripts(run, files):
     assert body["model"] == KnownDetector.model_hash
 
 
+@pytest.mark.usefixtures("_known_detector")
+def test_localize_draws_what_it_found(run, files, tmp_path):
+    """A picture beside the table; a name that cannot be one is told before the work."""
+    color, depth, camera = files
+    out = tmp_path / "found.png"
+    code, _, err = run("localize", color, depth, "--camera", camera, "--draw", out)
+    assert (code, err) == (0, "")
+    assert imagecodecs.png_decode(out.read_bytes()).shape[2] == 3
+    code, out, err = run("localize", color, "--camera", camera, "--draw", tmp_path / "found.bmp")
+    assert (code, out) == (2, "")
+    assert err.startswith("edge-service: --draw ")
+    assert err.count("\n") == 1
+
+
 def test_localize_without_a_target_exits_with_1(run, files, tmp_path):
     """Like grep: 0 found, 1 not found, 2 a mistake. Through the real, untrained net."""
     weights = tmp_path / "untrained.safetensors"

@@ -115,6 +115,26 @@ def test_an_answer_says_how_well_its_evidence_fits(client):
     assert target["tilt_deg"] < 3
 
 
+@pytest.mark.parametrize("files", [FILES, {k: FILES[k] for k in ("color", "camera")}])
+def test_the_answer_may_be_a_picture(client, files):
+    """With ?draw=1 a PNG comes back; what is wrong with a field is said as ever."""
+    response = client.post("/v1/localize?draw=1", files=files)
+    assert response.status_code == 200
+    assert response.headers["content-type"] == "image/png"
+    sheet = imagecodecs.png_decode(response.content)
+    assert sheet.dtype == np.uint8
+    assert sheet.shape[0] > 900
+    response = client.post("/v1/localize?draw=1", files=files | {"color": ("c", b"junk")})
+    assert response.status_code == 422
+    assert client.post("/v1/localize?draw=maybe", files=files).status_code == 422
+
+
+def test_a_browser_leaves_the_depth_out_as_an_empty_file(client):
+    """A form's field without a file is an empty file without a name."""
+    response = client.post("/v1/localize?draw=1", files=FILES | {"depth": ("", b"")})
+    assert response.status_code == 200
+
+
 def test_no_target_is_an_answer():
     """A picture without a target is a 200 with a reason, not an error."""
     bench = Bench(KnownDetector(Detections(dict.fromkeys(Level, ()))))
@@ -327,7 +347,7 @@ class Links(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         self.loaded += [v for k, v in attrs if k in ("src", "href")]
-        if tag not in ("meta", "link", "br"):
+        if tag not in ("meta", "link", "br", "input"):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
