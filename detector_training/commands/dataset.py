@@ -29,7 +29,7 @@ from detector_training.datasets.split import Split, group_alike, looks_of, split
 from detector_training.datasets.stats import Spread, Stats, dataset_stats
 from detector_training.datasets.stats_plot import formats, plot_stats
 from detector_training.errors import DatasetError
-from target_pose.target import DEFAULT_TARGET, load_target
+from target_pose.target import DEFAULT_TARGET, load_round_target
 
 MOST_LINES = 200
 """Findings printed for people; --json gives all."""
@@ -93,7 +93,7 @@ def check(
     """
     if sheet is not None and sheet.suffix.lower() != ".png":
         raise DatasetError(f"--sheet {sheet}: name a .png file")
-    shape = load_target(target)
+    shape = load_round_target(target)
     names = LabelNames.parse(maps or (), ignores or ())
     with _bar("pictures") as bar:
         report = inspect_dataset(data, shape, names, flags or (), against, bar)

@@ -34,7 +34,7 @@ from detector_training.evaluation.scores import Report, score
 from detector_training.training import loop as training
 from edge_service.detector.detector import SCORE_THRESHOLD
 from edge_service.detector.engines import ENGINES, open_engine
-from target_pose.target import Target, load_target
+from target_pose.target import Target, load_round_target
 
 AP_SCORE_THRESHOLD = 0.02
 """Low, so that the precision-recall curve is whole."""
@@ -95,7 +95,7 @@ def evaluate(
         if plot is not None and out is not None:
             raise EvaluationError("--fly-by draws one picture; leave out --out")
         path = weights / training.WEIGHTS if weights.is_dir() else weights
-        shape = load_target(target)
+        shape = load_round_target(target)
         if plot is not None:
             _fly_by(path, data, plot, shape, as_json, workers, engine)
             return

@@ -17,7 +17,7 @@ from detector_training.errors import ExportError
 from detector_training.export.export import Exported, Int8, export
 from edge_service.detector.onnx_export import OPSET
 from edge_service.detector.threads import available_cpus
-from target_pose.target import DEFAULT_TARGET, load_target
+from target_pose.target import DEFAULT_TARGET, load_round_target
 
 
 def register(app: typer.Typer) -> None:
@@ -71,7 +71,7 @@ def export_command(
             done = export(
                 weights,
                 out,
-                load_target(target),
+                load_round_target(target),
                 opset=opset,
                 dynamic_batch=dynamic_batch,
                 pictures=samples,

@@ -15,7 +15,7 @@ from detector_training.scenes import DatasetRequest, write_dataset
 from detector_training.scenes.depth import DepthSensor
 from detector_training.scenes.recipe import Recipe
 from detector_training.scenes.recording import FRAMES, RATE_HZ, write_recording
-from target_pose.target import DEFAULT_TARGET, load_target
+from target_pose.target import DEFAULT_TARGET, load_round_target
 
 Out = Annotated[Path, typer.Argument(help="Folder to write to; made when missing.")]
 Seed = Annotated[int, typer.Option(help="The same seed gives the same bytes.")]
@@ -73,7 +73,7 @@ def scenes(
     found = find_backgrounds(backgrounds or (), package_root)
     if line := advice(found):
         console.print(line, style="yellow", soft_wrap=True)
-    load_target(target)
+    load_round_target(target)
     request = DatasetRequest(count, seed, split, target, of_split(found, split), recipe, depth)
     columns = (BarColumn(), MofNCompleteColumn(), "pictures", TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
@@ -106,7 +106,7 @@ def recording(
 
     Example: python -m detector_training recording examples/recordings/rendered-approach --seed 1
     """
-    loaded = load_target(target)
+    loaded = load_round_target(target)
     columns = (BarColumn(), MofNCompleteColumn(), "frames", TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
         task = progress.add_task("frames", total=frames)

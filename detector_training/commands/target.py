@@ -20,7 +20,13 @@ from detector_training.targets.reach import LEAST_PX, reach
 from detector_training.targets.shapes import millimetres
 from detector_training.targets.svg import svg_text
 from target_pose.errors import TargetFileError
-from target_pose.target import Level, Target, load_target, packaged_targets, target_file
+from target_pose.target import (
+    Target,
+    load_round_target,
+    load_target,
+    packaged_targets,
+    target_file,
+)
 
 Name = Annotated[
     str, typer.Argument(metavar="NAME", help="A packaged target, or the path of your own .toml.")
@@ -51,10 +57,10 @@ def list_targets(as_json: AsJson = False) -> None:
     if as_json:
         typer.echo(json.dumps([_as_json(name, t) for name, t in found], indent=1))
         return
-    table = Table("target", "board [mm]", "discs [mm]", "boxes [mm]")
+    table = Table("target", "board \\[mm]", "discs \\[mm]", "boxes \\[mm]")
     for name, t in found:
         discs = ", ".join(millimetres(d.diameter_m) for d in t.discs)
-        boxes = ", ".join(f"{level} {millimetres(t.level_m[level])}" for level in Level)
+        boxes = ", ".join(f"{level} {millimetres(side)}" for level, side in t.level_m.items())
         table.add_row(name, millimetres(t.board_side_m), discs, boxes)
     Console().print(table)  # the shared one is for what is no result
 
@@ -82,14 +88,17 @@ def show(
         seen = {"camera": camera, "board_14px_m": far_m, "board_fills_picture_m": near_m}
         typer.echo(json.dumps(_as_json(name, shape) | seen, indent=1))
         return
-    table = Table("what", "size [mm]", "printed in", title=printable(shape.name))
+    table = Table("what", "size \\[mm]", "printed in", title=printable(shape.name))
     board = f"{shape.board_shade} {shape.colours[shape.board_shade]}"
     table.add_row("board (side)", millimetres(shape.board_side_m), board)
     for disc in shape.discs:
         colour = f"{disc.shade} {shape.colours[disc.shade]}"
         table.add_row("disc (diameter)", millimetres(disc.diameter_m), colour)
-    for level in Level:
-        table.add_row(f"{level} (box)", millimetres(shape.level_m[level]), "")
+    for level, side_m in shape.level_m.items():
+        table.add_row(f"{level} (box)", millimetres(side_m), "")
+    for point in shape.points:
+        place = f"{1000 * point.y_m:+g} right, {1000 * point.z_m:+g} up"
+        table.add_row(f"point {point.name}", place, "")
     out = Console()
     out.print(table)
     out.print(
@@ -125,7 +134,7 @@ def print_target(
     Example: python -m detector_training target print bullseye-200 --pdf target.pdf --paper A4
     """
     _check_names(pdf, svg, tiles)
-    shape, digest = load_target(name), _digest(name)
+    shape, digest = load_round_target(name), _digest(name)
     pages = lay_out(shape, digest, paper, margin_mm, tiles)
     title = f"{printable(shape.name)} {digest}"
     if svg is not None and len(pages) > 1:
@@ -171,6 +180,7 @@ def _as_json(name: str, shape: Target) -> dict[str, Any]:
         "hash": _digest(name),
         "board": {"side_m": shape.board_side_m, "shade": shape.board_shade},
         "discs": [{"diameter_m": d.diameter_m, "shade": d.shade} for d in shape.discs],
-        "levels": {level.value: shape.level_m[level] for level in Level},
+        "levels": {level.value: side_m for level, side_m in shape.level_m.items()},
+        "points": [{"name": p.name, "y_m": p.y_m, "z_m": p.z_m} for p in shape.points],
         "colours": {shade.value: colour for shade, colour in shape.colours.items()},
     }

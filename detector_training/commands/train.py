@@ -30,7 +30,7 @@ from edge_service.detector.engine import TorchDetector
 from edge_service.detector.files import DEFAULT_WEIGHTS
 from edge_service.detector.threads import available_cpus
 from edge_service.detector.weights import load_weights
-from target_pose.target import DEFAULT_TARGET, load_target
+from target_pose.target import DEFAULT_TARGET, load_round_target
 
 SHIPPED = "shipped"
 DEVICES = ("auto", "cpu", "cuda")
@@ -161,7 +161,7 @@ def train(
             val_pictures=val_pictures,
             patience=patience,
         )
-        load_target(settings.target)
+        load_round_target(settings.target)
         samples = load_dataset(data, names)
         sets = training.Sets(
             net,
@@ -224,7 +224,7 @@ def _evaluate(
         score_threshold=AP_SCORE_THRESHOLD,
         device=settings.device,
     )
-    finds = run_detector(detector.detect, samples, load_target(settings.target))
+    finds = run_detector(detector.detect, samples, load_round_target(settings.target))
     write_png(out / "val.png", draw_finds(finds))
     scores = score(finds)
     write_file(out / "evaluation.json", json.dumps(scores.as_json(), indent=1) + "\n")

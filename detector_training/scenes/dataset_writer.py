@@ -20,7 +20,7 @@ from detector_training.scenes.contact_sheet import contact_sheet
 from detector_training.scenes.depth import DepthSensor, depth_of, description, png_of
 from detector_training.scenes.generator import generate
 from detector_training.scenes.recipe import Recipe
-from target_pose.target import load_target
+from target_pose.target import load_round_target
 
 MAX_COUNT = 1_000_000
 IMAGES, DEPTH = "images", "depth"
@@ -65,7 +65,7 @@ class _Worker:
         r = self.request
         library = Library.of(r.backgrounds)
         seed = (r.seed, _SPLIT_SEED[r.split], list(Recipe).index(r.recipe), index)
-        scene = generate(seed, library, load_target(r.target), r.recipe)
+        scene = generate(seed, library, load_round_target(r.target), r.recipe)
         name = f"{index:06d}.jpg"
         (self.out / IMAGES / name).write_bytes(scene.jpeg)
         label = scene.label(f"{IMAGES}/{name}")

@@ -29,7 +29,7 @@ from detector_training.training.summary import fingerprint, summarise
 from detector_training.training.validation import Validation, ValScore
 from edge_service.detector.net import TargetNet
 from edge_service.detector.weights import save_weights
-from target_pose.target import load_target
+from target_pose.target import load_round_target
 
 CHECKPOINT = "checkpoint.safetensors"
 WEIGHTS = "weights.safetensors"
@@ -118,7 +118,7 @@ def train(
     sets = sets or Sets()
     _check_folder(run, resume)
     summarise(samples)
-    target = load_target(settings.target)
+    target = load_round_target(settings.target)
     validation = Validation(sets.val, target, settings.val_pictures) if sets.val else None
     torch.manual_seed(settings.seed)
     state = fresh_state(settings, sets.start)

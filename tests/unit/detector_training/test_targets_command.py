@@ -39,6 +39,31 @@ def test_show():
     assert told["hash"] in text
 
 
+PANEL = """name = "panel"
+board = {side_m = 0.3, shade = "white"}
+points = [
+  {name = "a", y_m = -0.12, z_m = 0.12}, {name = "b", y_m = 0.12, z_m = 0.12},
+  {name = "c", y_m = 0.12, z_m = -0.12}, {name = "d", y_m = -0.12, z_m = -0.12},
+]
+"""
+
+
+def test_a_target_of_points_is_shown_and_not_drawn(tmp_path):
+    """Where its points are can be checked; what it looks like is not known."""
+    toml = tmp_path / "panel.toml"
+    toml.write_text(PANEL)
+    told = json.loads(run("show", toml, "--json"))
+    assert told["discs"] == []
+    assert told["levels"] == {"T_good": 0.3}
+    assert told["points"][1] == {"name": "b", "y_m": 0.12, "z_m": 0.12}
+    text = run("show", toml)
+    assert "size [mm]" in text
+    assert "+120 right, -120 up" in text
+    with pytest.raises(TargetFileError, match="no .*discs.*cannot be drawn"):
+        run("print", toml, "--pdf", tmp_path / "a.pdf")
+    assert not (tmp_path / "a.pdf").exists()
+
+
 def test_print_of_ones_own(tmp_path):
     """One's own file, with its colours, as PDF and SVG at once; nothing else is left behind."""
     toml = tmp_path / "mine.toml"
