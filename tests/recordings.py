@@ -31,3 +31,20 @@ def long_recording(folder: Path) -> Path:
     for name in ("rgb", "depth"):
         (folder / name).symlink_to(RECORDING / name)
     return folder
+
+
+def close_recording(folder: Path, last: int = 25) -> Path:
+    """The last frames of the shipped recording, in which the target is in view, forth and back."""
+    long_recording(folder)
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        shipped = [x for x in (RECORDING / name).read_text().splitlines() if x[0] != "#"][-last:]
+        rows = [x.split(maxsplit=1) for x in shipped]
+        stamps = [float(t) for t, _ in rows]
+        period = stamps[-1] - stamps[0] + 0.1
+        lines = []
+        for repeat in range(REPEATS):
+            there = repeat % 2 == 0
+            for t, (_, rest) in zip(stamps, rows if there else reversed(rows), strict=True):
+                lines.append(f"{1000 + repeat * period + t - stamps[0]:.6f} {rest}")
+        (folder / name).write_text("\n".join(lines) + "\n")
+    return folder
