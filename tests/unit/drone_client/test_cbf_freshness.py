@@ -71,6 +71,49 @@ def test_the_error_ball_is_steady_while_knowledge_is_fresh() -> None:
     assert error_ball_m(301 * MS, 1.0, 0.001, SETTINGS) > oldest
 
 
+def test_the_error_ball_grows_while_the_drone_alone_sees_the_target() -> None:
+    """1 cm/s since the edge's last word, from age_max on: no jump where own eyes take over."""
+    fresh = error_ball_m(100 * MS, 1.0, 0.001, SETTINGS)
+    assert error_ball_m(100 * MS, 1.0, 0.001, SETTINGS, 300 * MS) == fresh
+    for alone_ns in (301 * MS, 1300 * MS, 5300 * MS):
+        grown = error_ball_m(100 * MS, 1.0, 0.001, SETTINGS, alone_ns) - fresh
+        assert grown == pytest.approx(0.01 * (alone_ns - 300 * MS) / 1e9)
+    faster = FilterSettings(unconfirmed_mps=0.05)
+    assert error_ball_m(0, 1.0, 0.001, faster, 1300 * MS) == pytest.approx(fresh + 0.05)
+
+
+@given(st.integers(0, 10**13), st.integers(0, 10**13), st.floats(0, 10), st.floats(0, 1))
+def test_the_error_ball_never_shrinks_while_nobody_confirms(time1, time2, range_m, sigma_m) -> None:
+    """Longer alone is never surer."""
+    shorter, longer = sorted((time1, time2))
+    small = error_ball_m(0, range_m, sigma_m, SETTINGS, shorter)
+    assert small <= error_ball_m(0, range_m, sigma_m, SETTINGS, longer) < math.inf
+
+
+def test_a_long_time_alone_turns_into_a_retreat_by_itself() -> None:
+    """Poses stay fresh, and the tip still goes back from the board as the ball grows."""
+    p, out = np.array([0.05, 0.0, 0.0]), []
+    for tick in range(round(6.0 / SETTINGS.period_s)):
+        inp = FilterInput(
+            tip_target=tuple(p.tolist()),
+            velocity_tip_nominal_target=(-0.2, 0.0, 0.0),
+            yaw_rate_nominal_radps=0.0,
+            lever_arm_target=(-0.55, 0.0, 0.0),
+            up_target=(0.0, 0.0, 1.0),
+            age_ns=60 * MS,
+            range_m=0.45,
+            sigma_m=0.0005,
+            unconfirmed_ns=300 * MS + tick * 20 * MS,
+        )
+        safe = filter_command(inp, SETTINGS)
+        assert safe.freshness is Freshness.FRESH
+        p = p + np.array(safe.velocity_body_target) * SETTINGS.period_s
+        out.append(float(p[0]))
+        assert safe.h_robust >= -1e-3
+    assert out[-1] > 0.3
+    assert all(b >= a - 1e-9 for a, b in itertools.pairwise(out[100:]))
+
+
 @given(st.integers(0, 10**13), st.integers(0, 10**13), st.floats(0, 10), st.floats(0, 1))
 def test_the_error_ball_never_shrinks_with_age(age1, age2, range_m, sigma_m) -> None:
     """Older knowledge is never better knowledge."""

@@ -427,3 +427,28 @@ def test_a_question_that_cannot_be_asked_is_one_line(command, recording, color, 
     assert (code, out) == (2, "")
     assert says in err
     assert err.count("\n") == 1
+
+
+def test_own_eyes_need_a_target_that_can_be_read(command, recording, worker):
+    """One line that names it and the ones that there are; nothing was written."""
+    out = recording.parent / "run"
+    code, _, err = command(
+        "replay", recording, "--connect", worker.endpoint, "--out", out, "--onboard-fallback",
+        "--onboard-target", "bullseye-900",
+    )  # fmt: skip
+    assert code == 2
+    assert err.startswith("drone-client: no target 'bullseye-900'; packaged: bullseye-200")
+    assert err.count("\n") == 1
+    assert not out.exists()
+
+
+def test_own_eyes_leave_a_file_and_their_part_of_the_summary(command, recording, worker):
+    """The pictures show no target: nothing is claimed."""
+    out = recording.parent / "run"
+    code, text, _ = command(
+        "replay", recording, "--connect", worker.endpoint, "--out", out, *PATIENT,
+        "--as-fast-as-possible", "--onboard-fallback", "--json", "--no-plot",
+    )  # fmt: skip
+    assert code == 0
+    assert json.loads(text)["onboard"]["accepted"] == 0
+    assert (out / "onboard.jsonl").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from drone_client.airframe import Airframe
 from drone_client.cbf import FilterSettings, Freshness, Status
 from drone_client.control import ControlSettings, Known, decide, stop_command
-from drone_client.target import TargetEstimate
+from drone_client.target import Source, TargetEstimate, drift_covariance
 from rgbd_wire.geometry import Pose
 from tests.unit.drone_client.builders import MS, SECOND, pose, poses
 
@@ -192,3 +193,20 @@ def test_an_age_that_cannot_be_stops_the_approach():
     d = decided(BOARD, pose((3, 0, 1.5)), age_ns=-1)
     assert d.safe.freshness is Freshness.BRAKE
     assert float(BOARD.rotation[:, 0] @ d.command.velocity_world) >= -1e-12
+
+
+def test_own_eyes_widen_the_margin_by_the_time_since_the_edge_spoke():
+    """The source is told; the drift that stands in its covariance is not counted a second time."""
+    body = pose((3.4, 0.02, 1.5))
+    edge = estimate(BOARD)
+    alone_ns = 2 * SECOND
+    widened = COVARIANCE + drift_covariance(alone_ns - 50 * MS)
+    own = replace(edge, covariance=widened, source=Source.ONBOARD, t_confirmed_ns=NOW_NS - alone_ns)
+    by_edge = decide(NOW_NS, edge, body, AIRFRAME, SETTINGS)
+    by_own = decide(NOW_NS, own, body, AIRFRAME, SETTINGS)
+    assert (by_edge.source, by_edge.unconfirmed_ns) == (Source.EDGE, 0)
+    assert (by_own.source, by_own.unconfirmed_ns) == (Source.ONBOARD, alone_ns)
+    grown = by_own.safe.delta_m - by_edge.safe.delta_m
+    f = SETTINGS.filter
+    assert grown == pytest.approx(f.unconfirmed_mps * (alone_ns - f.age_max_ns) / 1e9, abs=1e-6)
+    assert by_own.safe.freshness is Freshness.FRESH

@@ -242,3 +242,15 @@ def test_an_earlier_run_is_evidence_and_goes_only_when_told(tmp_path):
     assert (tmp_path / LEDGER_NAME).read_text() == before
     Ledger(tmp_path, overwrite=True).close()
     assert (tmp_path / LEDGER_NAME).read_text() == ""
+
+
+def test_looks_on_board_have_a_file_of_their_own_where_they_are_asked_for(tmp_path):
+    """An earlier run's looks do not stay beside a run without them."""
+    ledger = Ledger(tmp_path, own_eyes=True)
+    ledger.look({"sequence": 1, "verdict": "accepted"})
+    ledger.close()
+    assert (tmp_path / "onboard.jsonl").read_text() == ('{"sequence": 1, "verdict": "accepted"}\n')
+    again = Ledger(tmp_path, overwrite=True)
+    again.look({"sequence": 2})
+    again.close()
+    assert not (tmp_path / "onboard.jsonl").exists()

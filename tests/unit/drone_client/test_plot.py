@@ -129,3 +129,16 @@ def test_a_hand_over_is_marked(tmp_path):
     without = share(drawn(tmp_path / "a.png", frames, ticks, [first]), purple)
     marked = share(drawn(tmp_path / "b.png", frames, ticks, [first, change]), purple)
     assert marked > without
+
+
+def test_what_was_flown_on_own_eyes_is_shaded(tmp_path):
+    """Light cyan behind a bridge, and nowhere else."""
+    cyan = (np.array(to_rgb("tab:cyan")) * 0.2 + 0.8) * 255
+    frames = [frame_line(i) for i in range(20)]
+
+    def picture(source: str) -> np.ndarray:
+        ticks = [tick_line(i, target_source=source if 10 <= i < 40 else "edge") for i in range(50)]
+        return drawn(tmp_path / f"{source}.png", frames, ticks)
+
+    assert share(picture("onboard"), cyan) > 0.01
+    assert share(picture("edge"), cyan) < 1e-4

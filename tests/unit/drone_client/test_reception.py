@@ -397,3 +397,27 @@ def test_poses_are_asked_at_any_time():
     got = rig.receiver.pose_at(25 * MS)
     np.testing.assert_allclose(got.translation, (0.25, 0, 0), atol=1e-12)
     np.testing.assert_allclose(rotation_of(got).as_rotvec(), (0, 0, 0.25), atol=1e-9)
+
+
+def test_the_last_word_says_whether_the_edge_looked_again_and_saw_nothing():
+    """An accepted answer without a target denies what was seen before it, and nothing after."""
+    rig = Rig().acknowledged()
+    assert not rig.receiver.word.denies
+    rig.receive(result())
+    assert not rig.receiver.word.denies
+    later = T_CAPTURE_NS + MS
+    rig.receiver.sending(SentFrame(8, later, T1_NS, WORKER))
+    rig.receiver.on_message(seal_ack(msgspec.structs.replace(ACK, sequence=8)), T1_NS)
+    empty = {"outcome": Outcome.NOTHING_FOUND, "reason": "no box", "target": None}
+    rig.receive(result(sequence=8, t_capture_ns=later, **empty))
+    word = rig.receiver.word
+    assert word.denies
+    assert word.t_denied_ns == later
+    assert word.estimate is rig.receiver.estimate
+
+
+def test_an_answer_that_was_refused_denies_nothing():
+    """Nobody looked, or it came too late."""
+    rig = Rig().acknowledged()
+    rig.receive(result(outcome=Outcome.SUPERSEDED, reason="newer frame", target=None))
+    assert rig.receiver.word.t_denied_ns is None
