@@ -74,22 +74,25 @@ def _rows(target: TargetBody) -> list[tuple[str, str]]:
         ("q_wxyz", _numbers(pose.q_wxyz, "+.4f")),
         ("method", f"{target.method}, roll by {target.roll_source}, score {target.score:.2f}"),
     ]
-    if seen.ellipse_rms_px is not None:
+    if seen.ellipse_rms_px is not None and target.method == "pnp":
+        points = f"{seen.ellipse_points} used, rms {seen.ellipse_rms_px:.3f} px"
+        rows.append(("points", points))
+    elif seen.ellipse_rms_px is not None:
         points = f"{seen.ellipse_points} of {seen.ellipse_points_measured} edge points"
         rows.append(("circles", f"{points}, rms {seen.ellipse_rms_px:.3f} px"))
     if seen.plane_rms_m is not None:
         rows.append(("plane", f"{seen.plane_inliers} points, rms {1000 * seen.plane_rms_m:.1f} mm"))
     if seen.range_plane_m is not None and seen.range_ellipse_m is not None:
-        rows.append(("ranges", _ranges(seen)))
+        rows.append(("ranges", _ranges(seen, "points" if target.method == "pnp" else "circles")))
     if target.ambiguous and target.alternative is not None:
         other = _numbers(target.alternative.q_wxyz, "+.4f")
         rows.append(("ambiguous", f"the mirrored fold fits as well: q_wxyz {other}"))
     return rows
 
 
-def _ranges(seen: EvidenceBody) -> str:
-    """What circles and depth say of the distance, each by itself."""
-    text = f"{seen.range_ellipse_m:.4f} m by the circles, {seen.range_plane_m:.4f} m by the depth"
+def _ranges(seen: EvidenceBody, picture: str) -> str:
+    """What the picture (circles or points) and depth say of the distance, each by itself."""
+    text = f"{seen.range_ellipse_m:.4f} m by the {picture}, {seen.range_plane_m:.4f} m by the depth"
     if seen.ranges_apart_sigmas is not None:
         text += f": {abs(seen.ranges_apart_sigmas):.1f} sigma apart"
     return text + (", which was left out" if seen.depth_contradicts else "")

@@ -46,6 +46,9 @@ class Refusal(StrEnum):
     INCONSISTENT = "inconsistent"
     """Picture and depth measure ranges that cannot both be true: a wrong depth unit, a target of
     another size, or a look-alike. Which of the two is wrong cannot be known from here."""
+    POINTS_DISAGREE = "points_disagree"
+    """Labelled points are not where any pose of the target would put them: a look-alike, or a net
+    whose key points have another order than the target's file."""
     BEHIND_CAMERA = "behind_camera"
     """The solution does not lie in front of the camera, or shows the board's back."""
     NO_EVIDENCE = "no_evidence"

@@ -141,7 +141,7 @@ def _judged(
     used = folds[0].weights[::2] > 0
     count = int(np.count_nonzero(used))
     if count < max(MIN_POINTS, MIN_SHARE * len(used)) or breadth(points.yz_m[used]) < MIN_BREADTH:
-        return Refusal.INCONSISTENT
+        return Refusal.POINTS_DISAGREE
     values = points.pixels[used].ravel()
     predict = predict_points(points.yz_m[used], points.focal)
     again = fit_pose(Measurements(values, np.eye(len(values)) / prior**2, predict), folds[0].pose)
@@ -150,7 +150,7 @@ def _judged(
     squares = float(again.errors @ again.errors)
     left_over = 2 * count - 6
     if math.sqrt(squares / left_over) > limit:
-        return Refusal.INCONSISTENT
+        return Refusal.POINTS_DISAGREE
     variance = (SIGMA_SAYS * prior**2 + squares) / (SIGMA_SAYS + left_over)
     measured = Measurements(values, np.eye(len(values)) / variance, predict)
     return FittedPoints(measured, [again.pose, *(fold.pose for fold in folds[1:])], count)

@@ -37,11 +37,12 @@ from edge_service.drawing.scene import (
     draw_circles,
     draw_covariance,
     draw_edge_points,
+    draw_points,
 )
 from edge_service.pipeline import Output
 from rgbd_wire.camera import CameraIntrinsics
 from target_pose.candidate import Box
-from target_pose.localisation import Localisation
+from target_pose.localisation import Localisation, RollSource
 from target_pose.residuals import spread, tilt_rad
 from target_pose.target import Level, Target
 
@@ -147,6 +148,7 @@ def _paint(
     draw_circles(canvas, intrinsics, target, found.localisation)
     if points:
         draw_edge_points(canvas, intrinsics, found.localisation)
+    draw_points(canvas, intrinsics, target, found)
     draw_axes(canvas, intrinsics, target, found.localisation)
     draw_covariance(canvas, intrinsics, found.localisation)
 
@@ -223,7 +225,11 @@ def _legend(located: Localisation | None) -> list[tuple[str, Rgb, str]]:
     ]
     if located is None:
         return rows
-    rows.append(("line", CIRCLE_RGB, "printed circles, projected with the pose"))
+    if located.roll_source is RollSource.POINTS:
+        rows.append(("dot", USED_RGB, "labelled points, where the net saw them"))
+        rows.append(("cross", CIRCLE_RGB, "where the pose puts them"))
+    else:
+        rows.append(("line", CIRCLE_RGB, "printed circles, projected with the pose"))
     if located.evidence is not None:
         used = int(np.count_nonzero(located.evidence.circles.inliers))
         left_out = len(located.evidence.circles.inliers) - used

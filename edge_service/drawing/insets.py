@@ -16,7 +16,7 @@ from edge_service.drawing.scene import (
     OTHER_FOLD_RGB,
     ellipse,
 )
-from target_pose.localisation import Localisation
+from target_pose.localisation import Localisation, Method
 from target_pose.residuals import Residuals, residuals, spread, tilt_rad
 from target_pose.vectors import orthogonal_to, unit
 
@@ -121,7 +121,8 @@ def _range_rows(located: Localisation, r: Residuals | None) -> list[tuple[str, R
     rows = [("pose", FOREGROUND, range_m, spread(located).range_m)]
     if located.range_ellipse_m is not None:
         sigma = 0.0 if r is None else r.range_ellipse_sigma_m
-        rows.append(("circles", CIRCLE_RGB, located.range_ellipse_m, sigma))
+        name = "points" if located.method is Method.PNP else "circles"
+        rows.append((name, CIRCLE_RGB, located.range_ellipse_m, sigma))
     if located.range_plane_m is not None:
         sigma = 0.0 if r is None else r.range_plane_sigma_m or 0.0
         rows.append(("depth", PLANE_RGB, located.range_plane_m, sigma))

@@ -15,7 +15,10 @@ _WORDS: dict[str, str] = {
     Refusal.GRAZING: "seen from over 72 degrees off its normal: fly more in front of it",
     Refusal.INCONSISTENT: "circles and depth measure ranges that cannot both be true: check "
     "depth_scale_m, the print's size and the focal length (drone-client calibrate)",
-    Refusal.BEHIND_CAMERA: "the solution lies behind the camera, or shows the board's back",
+    Refusal.POINTS_DISAGREE: "its points are not where any pose of the target would put them: "
+    "check that the net's key points have the order of the target's [[points]]",
+    Refusal.BEHIND_CAMERA: "the solution lies behind the camera, or shows the board's back; with "
+    "labelled points: check their order",
     Refusal.NO_EVIDENCE: "no circle, no plane, and a box that the picture's border cuts",
 }
 

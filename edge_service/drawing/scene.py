@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_service.drawing.canvas import Canvas, Rgb
+from edge_service.pipeline import Found
 from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.geometry import Pose
 from target_pose.candidate import Box, Detections
 from target_pose.lens import pixels_from_rays, project
-from target_pose.localisation import Localisation
+from target_pose.localisation import Localisation, RollSource
 from target_pose.target import Level, Target
 
 Array: TypeAlias = NDArray[np.float64]
@@ -72,6 +73,17 @@ def draw_edge_points(canvas: Canvas, intrinsics: CameraIntrinsics, located: Loca
     xy = canvas.at(pixels_from_rays(fit.edges.xy, intrinsics))
     canvas.dots(xy[fit.inliers], USED_RGB, 1.6)
     canvas.crosses(xy[~fit.inliers], OUTLIER_RGB, 3.5)
+
+
+def draw_points(canvas: Canvas, intrinsics: CameraIntrinsics, target: Target, found: Found) -> None:
+    """Labelled points: a dot where the net saw each, a cross where the pose puts it."""
+    seen = found.candidate.points
+    if found.localisation.roll_source is not RollSource.POINTS or not seen:
+        return
+    places = np.array([(0.0, p.y_m, p.z_m) for p in target.points])
+    put = project(found.localisation.camera_from_target @ places, intrinsics)
+    canvas.dots(canvas.at(np.array([(p.u, p.v) for p in seen.values()])), USED_RGB, 4.0)
+    canvas.crosses(canvas.at(put[np.isfinite(put).all(axis=1)]), CIRCLE_RGB, 5.0)
 
 
 def draw_axes(

@@ -157,7 +157,7 @@ def test_a_mirrored_panel_is_refused(folder):
     assert run.returncode == 1, run.stderr
     body = json.loads(run.stdout)
     assert (body["outcome"], body["target"]) == ("refused", None)
-    assert body["reason"] in ("inconsistent", "behind_camera")
+    assert body["reason"] in ("points_disagree", "behind_camera")
 
 
 @pytest.mark.parametrize(
