@@ -21,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drone_client.airframe import Airframe, load_airframe
+from drone_client.calibration.command import calibrate
 from drone_client.errors import ClientError
 from drone_client.flight import Tally
 from drone_client.ledger import LEDGER_NAME
@@ -215,6 +216,9 @@ def snap(
         Console().print(table)
     if answer.get("outcome") != Outcome.TARGET.value:
         raise typer.Exit(EXIT_NO_TARGET)
+
+
+app.command(no_args_is_help=True)(calibrate)
 
 
 def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:

@@ -31,7 +31,32 @@ def snap(
     if depth is not None:
         files["depth"] = (depth.name, _read(depth))
     files["camera"] = (camera.name, _read(camera))
-    status, content = _post(url, files, timeout_s)
+    return ask(url, files, timeout_s)
+
+
+def ask(url: str, files: dict[str, tuple[str, bytes]], timeout_s: float) -> dict[str, Any]:
+    """What a service answers to the files of a form, by field: name and content.
+
+    Raises:
+        SourceError: the service refuses their content.
+        LinkError: nobody answers there, or not as the service does.
+    """
+    return _answer(url, "POST", "/v1/localize", files, timeout_s)
+
+
+def get(url: str, path: str, timeout_s: float) -> dict[str, Any]:
+    """What a service answers to a GET; raises as ``ask``."""
+    return _answer(url, "GET", path, None, timeout_s)
+
+
+def _answer(
+    url: str,
+    method: str,
+    path: str,
+    files: dict[str, tuple[str, bytes]] | None,
+    timeout_s: float,
+) -> dict[str, Any]:
+    status, content = _send(url, method, path, files, timeout_s)
     try:
         body = json.loads(content)
     except (ValueError, RecursionError):
@@ -41,12 +66,18 @@ def snap(
     return body
 
 
-def _post(url: str, files: dict[str, tuple[str, bytes]], timeout_s: float) -> tuple[int, bytes]:
+def _send(
+    url: str,
+    method: str,
+    path: str,
+    files: dict[str, tuple[str, bytes]] | None,
+    timeout_s: float,
+) -> tuple[int, bytes]:
     """Status and body of the service's answer, which is short."""
     content = b""
     try:
         with httpx.stream(
-            "POST", f"{url.rstrip('/')}/v1/localize", files=files, timeout=timeout_s
+            method, f"{url.rstrip('/')}{path}", files=files, timeout=timeout_s
         ) as response:
             for chunk in response.iter_bytes(65_536):
                 content += chunk

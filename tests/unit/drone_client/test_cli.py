@@ -136,7 +136,7 @@ def test_help_of_replay_has_units_defaults_and_an_example(command):
     assert "--no-as-fast-as-possible" not in words
 
 
-@pytest.mark.parametrize("name", ["replay", "snap"])
+@pytest.mark.parametrize("name", ["calibrate", "replay", "snap"])
 def test_every_flag_can_be_read_at_80_columns(command, monkeypatch, name):
     """None is cut short, and no line is longer than the terminal."""
     monkeypatch.setenv("COLUMNS", "80")

@@ -1,0 +1,1 @@
+"""Do colour and depth camera agree? Circles against plane, over a recording."""
