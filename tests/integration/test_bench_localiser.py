@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -36,6 +37,7 @@ from tests.perf.bench_localiser_poses import CAMERA, GRAVITY_SIGMA_RAD, Album, a
 from tests.perf.bench_localiser_summary import (
     calibration,
     cell_summary,
+    is_assumed_flip,
     is_covered,
     is_flip,
     paired,
@@ -107,12 +109,16 @@ def test_the_interval_of_a_median_holds_it():
 
 
 def test_a_flip_is_far_off_and_says_nothing():
-    """Over 30 degrees; declared ambiguous, refused and not found are none."""
+    """Over 30 degrees; declared ambiguous, refused and not found are none, nor is a bare box."""
     flip = Trial("a", "a", 1.0, 0, OURS, True, normal_deg=31.0, position_mm=1.0)
     assert is_flip(flip)
     assert not is_flip(Trial("a", "a", 1.0, 0, OURS, True, normal_deg=31.0, ambiguous=True))
     assert not is_flip(Trial("a", "a", 1.0, 0, OURS, True, normal_deg=29.0))
     assert not is_flip(Trial("a", "a", 1.0, 0, OURS, True, refusal="grazing"))
+    box = replace(flip, method="box")
+    assert not is_flip(box)
+    assert is_assumed_flip(box)
+    assert not is_assumed_flip(flip)
     assert cell_summary([flip, Trial("a", "a", 1.0, 1, OURS)])["flips"] == 1
 
 

@@ -51,6 +51,7 @@ from tests.perf.bench_localiser_summary import (
     by,
     calibration,
     cell_summary,
+    is_assumed_flip,
     is_covered,
     is_flip,
     paired,
@@ -182,6 +183,7 @@ def flips_part(trials: Sequence[Trial], albums: dict[str, Album]) -> dict[str, A
     return {
         "poses": sum(t.localised for t in trials),
         "count": len(flips),
+        "assumed": sum(map(is_assumed_flip, trials)),
         "worst": [_with_seed(t, albums) for t in flips[:WORST]],
     }
 

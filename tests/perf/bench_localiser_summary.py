@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import binom, chi2
 
 from detector_training.evaluation.intervals import Interval, wilson
+from target_pose.localisation import Method
 from tests.perf.bench_localiser_errors import DEGREES_OF_FREEDOM
 from tests.perf.bench_localiser_trial import Trial
 
@@ -45,7 +46,16 @@ def spread(values: Iterable[float | None]) -> Spread | None:
 
 
 def is_flip(trial: Trial) -> bool:
-    """Its normal is far off, and nothing said so."""
+    """Its normal is far off, and nothing said so: neither ``ambiguous`` nor the method."""
+    return _is_far_off(trial) and trial.method != Method.BOX
+
+
+def is_assumed_flip(trial: Trial) -> bool:
+    """Its normal is far off, by the method that takes the board to face the camera."""
+    return _is_far_off(trial) and trial.method == Method.BOX
+
+
+def _is_far_off(trial: Trial) -> bool:
     return trial.normal_deg is not None and trial.normal_deg > FLIP_DEG and not trial.ambiguous
 
 
@@ -109,19 +119,6 @@ def squared_errors(trials: Sequence[Trial], part: str) -> np.ndarray:
             for t in trials
             if t.squared is not None and (part != "roll" or t.roll_source in SURE_ROLL)
         ]
-    )
-
-
-def worst_gap(rows: dict[str, Any], parts: Sequence[str]) -> float:
-    """Largest distance of a share from its level."""
-    return max(
-        (
-            abs(share["value"] - float(level))
-            for part in parts
-            for level, share in rows[part]["inside"].items()
-            if share is not None
-        ),
-        default=0.0,
     )
 
 
