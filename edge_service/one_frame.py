@@ -80,6 +80,9 @@ def _rows(target: TargetBody) -> list[tuple[str, str]]:
     elif seen.ellipse_rms_px is not None:
         points = f"{seen.ellipse_points} of {seen.ellipse_points_measured} edge points"
         rows.append(("circles", f"{points}, rms {seen.ellipse_rms_px:.3f} px"))
+    if seen.picture_rms_levels is not None:
+        rms = f"{seen.picture_rms_levels:.1f} grey levels"
+        rows.append(("picture", f"{seen.picture_points} pixels of a small target, rms {rms}"))
     if seen.plane_rms_m is not None:
         rows.append(("plane", f"{seen.plane_inliers} points, rms {1000 * seen.plane_rms_m:.1f} mm"))
     if seen.range_plane_m is not None and seen.range_ellipse_m is not None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_wire.geometry import Pose
-from target_pose.fusion import CircleFit
+from target_pose.conic import CirclePose
 from target_pose.plane import InverseDepthPlane
 
 
@@ -68,13 +68,27 @@ class RollSource(StrEnum):
     """Nothing: the board's up is taken to be the camera's up."""
 
 
+class CirclesFit(Protocol):
+    """A pose of the printed circles, up to its roll, however it was measured."""
+
+    @property
+    def pose(self) -> CirclePose:
+        """Centre and normal."""
+        ...
+
+    @property
+    def information(self) -> NDArray[np.float64]:
+        """Inverse covariance (6, 6), as ``covariance_from_information`` takes it."""
+        ...
+
+
 class Evidence(NamedTuple):
     """What a pose was made of, kept for people who want to look at it."""
 
-    circles: CircleFit
-    """The fit that gave the pose, with its edge points."""
-    circles_alone: CircleFit
-    """The same edges without the depth."""
+    circles: CirclesFit
+    """The fit that gave the pose; ``fusion.CircleFit`` has edge points."""
+    circles_alone: CirclesFit
+    """The same without the depth."""
     plane: InverseDepthPlane | None
     """The board in the depth, whether it was used or contradicts."""
 
@@ -117,4 +131,4 @@ class Localisation:
     """Depth was seen on the board but left out, since it contradicts the circles by more than the
     errors of both allow; the covariance is widened to reach it."""
     evidence: Evidence | None = None
-    """None: the pose does not rest on edge points."""
+    """None: the pose does not rest on circles."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from target_pose.covariance import covariance_from_information
 from target_pose.fusion import CircleFit
-from target_pose.localisation import Evidence, Localisation
+from target_pose.localisation import CirclesFit, Evidence, Localisation
 from target_pose.plane import InverseDepthPlane
 from target_pose.vectors import length, orthogonal_to, unit
 
@@ -49,7 +49,7 @@ class Residuals:
     """How circles and plane fit, and how they agree."""
 
     circles: tuple[CircleResidual, ...]
-    """From the outermost one measured inwards."""
+    """From the outermost one measured inwards; none where pixels were fitted and not edges."""
     range_ellipse_sigma_m: float
     """Standard deviation of ``range_ellipse_m``."""
     range_plane_sigma_m: float | None
@@ -93,7 +93,7 @@ def residuals(located: Localisation) -> Residuals | None:
     return Residuals(_by_circle(seen), ellipse_sigma, plane_sigma, apart)
 
 
-def circle_range_sigma_m(fit: CircleFit) -> float:
+def circle_range_sigma_m(fit: CirclesFit) -> float:
     """Standard deviation of the distance to the circles' centre."""
     center, normal = fit.pose
     covariance = covariance_from_information(fit.information, normal, center, LOOSE_ROLL_RAD)
@@ -110,6 +110,8 @@ def plane_range_sigma_m(plane: InverseDepthPlane, center: Array) -> float:
 
 def _by_circle(seen: Evidence) -> tuple[CircleResidual, ...]:
     fit = seen.circles
+    if not isinstance(fit, CircleFit):
+        return ()
     radii = fit.edges.radius_m
     found = []
     for radius in np.unique(radii)[::-1]:

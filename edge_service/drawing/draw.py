@@ -38,6 +38,7 @@ from edge_service.drawing.scene import (
     draw_covariance,
     draw_edge_points,
     draw_points,
+    edge_fit,
 )
 from edge_service.pipeline import Output
 from rgbd_wire.camera import CameraIntrinsics
@@ -230,11 +231,14 @@ def _legend(located: Localisation | None) -> list[tuple[str, Rgb, str]]:
         rows.append(("cross", CIRCLE_RGB, "where the pose puts them"))
     else:
         rows.append(("line", CIRCLE_RGB, "printed circles, projected with the pose"))
-    if located.evidence is not None:
-        used = int(np.count_nonzero(located.evidence.circles.inliers))
-        left_out = len(located.evidence.circles.inliers) - used
+    fit = edge_fit(located)
+    if fit is not None:
+        used = int(np.count_nonzero(fit.inliers))
+        left_out = len(fit.inliers) - used
         rows.append(("dot", USED_RGB, f"edge points used: {used}"))
         rows.append(("cross", OUTLIER_RGB, f"edge points left out: {left_out}"))
+    if located.picture_points:
+        rows.append(("none", FOREGROUND, f"small: {located.picture_points} pixels were fitted"))
     rows.append(("line", AXES[0][1], "x of the target, out of the board (the normal)"))
     rows.append(("line", AXES[1][1], "y, to the viewer's right"))
     rows.append(("line", AXES[2][1], "z, up along the board"))
@@ -261,6 +265,8 @@ def _draw_legend(canvas: Canvas, top: int, located: Localisation | None) -> None
                 angle = np.linspace(0, 2 * math.pi, 40)
                 ring = np.stack([16 + 10 * np.cos(angle), y + 5 * np.sin(angle)], axis=1)
                 canvas.line(ring, color, closed=True)
+            case "none":
+                pass
             case "dashes":
                 canvas.dashes(ends, color, width=2)
             case _:

@@ -13,6 +13,7 @@ from edge_service.pipeline import Found
 from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.geometry import Pose
 from target_pose.candidate import Box, Detections
+from target_pose.fusion import CircleFit
 from target_pose.lens import pixels_from_rays, project
 from target_pose.localisation import Localisation, RollSource
 from target_pose.target import Level, Target
@@ -67,9 +68,9 @@ def draw_circles(
 
 def draw_edge_points(canvas: Canvas, intrinsics: CameraIntrinsics, located: Localisation) -> None:
     """The measured edge points: used ones as dots, outliers as crosses."""
-    if located.evidence is None:
+    fit = edge_fit(located)
+    if fit is None:
         return
-    fit = located.evidence.circles
     xy = canvas.at(pixels_from_rays(fit.edges.xy, intrinsics))
     canvas.dots(xy[fit.inliers], USED_RGB, 1.6)
     canvas.crosses(xy[~fit.inliers], OUTLIER_RGB, 3.5)
@@ -84,6 +85,12 @@ def draw_points(canvas: Canvas, intrinsics: CameraIntrinsics, target: Target, fo
     put = project(found.localisation.camera_from_target @ places, intrinsics)
     canvas.dots(canvas.at(np.array([(p.u, p.v) for p in seen.values()])), USED_RGB, 4.0)
     canvas.crosses(canvas.at(put[np.isfinite(put).all(axis=1)]), CIRCLE_RGB, 5.0)
+
+
+def edge_fit(located: Localisation) -> CircleFit | None:
+    """The edge points behind a pose; None where it rests on something else."""
+    fit = None if located.evidence is None else located.evidence.circles
+    return fit if isinstance(fit, CircleFit) else None
 
 
 def draw_axes(

@@ -69,6 +69,10 @@ class EvidenceBody(_Body):
     ellipse_points: int = Field(description="Edge points used.")
     ellipse_points_measured: int
     circles: list[CircleBody] = Field(description="The same for each circle, outermost first.")
+    picture_points: int = Field(
+        description="Pixels used, of a small target whose pixels were fitted instead of its edges."
+    )
+    picture_rms_levels: float | None = Field(description="Those about what the pose predicts.")
     plane_inliers: int
     plane_rms_m: float | None = Field(description="Depth points about the fitted plane.")
     depth_contradicts: bool = Field(description="Depth was left out: it contradicts the circles.")
@@ -88,6 +92,8 @@ class EvidenceBody(_Body):
             ellipse_points=located.ellipse_points,
             ellipse_points_measured=sum(c.measured for c in circles),
             circles=[CircleBody(**c._asdict()) for c in circles],
+            picture_points=located.picture_points,
+            picture_rms_levels=located.picture_rms_levels,
             plane_inliers=located.plane_inliers,
             plane_rms_m=located.plane_rms_m,
             depth_contradicts=located.depth_contradicts,

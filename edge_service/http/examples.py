@@ -111,6 +111,8 @@ LOCALIZED: dict[str, Any] = {
                 {"diameter_m": 0.3, "measured": 64, "used": 60, "rms_px": 0.12},
                 {"diameter_m": 0.14, "measured": 64, "used": 61, "rms_px": 0.1},
             ],
+            "picture_points": 0,
+            "picture_rms_levels": None,
             "plane_inliers": 2400,
             "plane_rms_m": 0.004,
             "depth_contradicts": False,
