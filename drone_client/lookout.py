@@ -18,6 +18,9 @@ from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.geometry import Pose
 from target_pose.target import Target
 
+EARLIEST_SHARE = 3
+"""At most this part of the time for which a pose is fresh, a look begins before its end: a slow
+machine or camera shall not make the drone look while the edge answers as it should."""
 MAX_OUTLIERS = 1
 """Measurements of the edge in a row that its own estimate did not fit; with more, the drone does
 not look for what that estimate says."""
@@ -77,7 +80,7 @@ class Lookout:
         if word.estimate is None or t_capture_ns <= word.estimate.t_capture_ns:
             return False
         fresh_ns = self._settings.fresh_ns
-        early_ns = min(self._interval_ns + self._work_ns, fresh_ns // 2)
+        early_ns = min(self._interval_ns + self._work_ns, fresh_ns // EARLIEST_SHARE)
         return now_ns + early_ns - word.estimate.t_capture_ns > fresh_ns
 
     def plan(

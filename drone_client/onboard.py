@@ -252,7 +252,12 @@ def _predicted(anchor: TargetEstimate, t_capture_ns: int) -> Array:
 
 
 def _gate_reach_m(position: Array) -> float:
-    """How far from the prediction the gate reaches, for a position's covariance (3, 3)."""
+    """How far from the prediction the gate reaches, for a position's covariance (3, 3).
+
+    Infinite where that is no number.
+    """
+    if not np.isfinite(position).all():
+        return math.inf
     return math.sqrt(GATE_CHI2 * max(float(np.linalg.eigvalsh(position)[-1]), 0.0))
 
 
@@ -265,6 +270,8 @@ def _weakness(found: Localisation) -> LookVerdict | None:
     """Why a pose proves nothing to somebody who has only a prediction to start from."""
     if found.method not in (Method.FUSED, Method.ELLIPSE):
         return LookVerdict.NO_CIRCLE
+    if not np.isfinite(found.covariance).all():
+        return LookVerdict.TOO_UNSURE
     circles_m, plane_m = found.range_ellipse_m, found.range_plane_m
     gap = 0.0 if circles_m is None or plane_m is None else abs(plane_m / circles_m - 1)
     if not gap <= MAX_RANGE_GAP:

@@ -200,6 +200,8 @@ def replay(
         "lost_ledger_lines": ledger.lost_lines,
         "unwritten": [],
     }
+    if flight.own_eyes is not None:
+        summary["onboard"]["taken_back"] = flight.own_eyes.contradicted
     _write(summary, frames, ticks, events, options)
     return summary
 

@@ -78,6 +78,8 @@ def _onboard_rows(own: dict[str, Any]) -> dict[str, str]:
     """What the drone saw by itself."""
     verdicts = ", ".join(f"{n} {key}" for key, n in own["verdicts"].items()) or "none"
     rows = {"own eyes": f"{own['frames']} frames without a fresh result: {verdicts}"}
+    if n := own.get("taken_back"):
+        rows["TAKEN BACK"] = f"{n} times the edge disagreed, late, with what was seen on board"
     if own["bridges"]:
         took = own["look_ms"]
         rows["bridges"] = (

@@ -126,6 +126,7 @@ def test_what_was_seen_on_board_is_the_target(run):
         off = pose_of(tuple(line["world_from_target"])).translation - target.translation
         assert np.linalg.norm(off) < 0.02
     assert summary["onboard"]["accepted"] == len(accepted)
+    assert summary["onboard"]["taken_back"] == 0
     assert summary["onboard"]["verdicts"].get("contradicted", 0) == 0
     assert summary["onboard"]["verdicts"].get("failed", 0) == 0
     assert summary["control_errors"] == 0

@@ -103,6 +103,18 @@ def test_nothing_is_looked_at_while_the_edge_speaks():
     assert drone.verdicts == []
 
 
+def test_slow_looks_do_not_make_it_look_while_the_edge_answers_as_it_should():
+    """A machine that takes 250 ms for a look, 12 frames a second, results of 120 ms."""
+    lookout, word = new_lookout(), world.said()
+    for i in range(20):
+        t_ns = T0_NS + (350 + 33 * i) * MS
+        lookout.take(seen(t_ns, word), t_ns, t_ns + 250 * MS, word)
+    for i in range(60):
+        t_ns = T0_NS + 2 * SECOND + i * 83 * MS
+        word = world.said(t_ns - 166 * MS)
+        assert not lookout.is_due(t_ns, t_ns + 10 * MS, word)
+
+
 def test_after_its_time_alone_it_looks_no_more_and_what_is_known_grows_old():
     """Five seconds, then hold, brake and retreat come from the age, as ever."""
     drone = Drone()

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
@@ -224,7 +224,7 @@ def test_a_target_of_a_few_pixels_is_not_looked_for():
     assert got in (LookVerdict.OUT_OF_VIEW, LookVerdict.TOO_UNSURE)
 
 
-@pytest.mark.parametrize("sigma_m", [0.1, 1e3])
+@pytest.mark.parametrize("sigma_m", [0.1, 1e3, np.inf, np.nan])
 def test_an_edge_that_knew_next_to_nothing_gives_no_window(sigma_m):
     """The gate around it would hold more than the target."""
     unsure = world.edge_estimate(covariance=np.diag([sigma_m**2] * 3 + [1e-4] * 3))
@@ -312,6 +312,7 @@ def localisation(**changes) -> Localisation:
         (localisation(range_plane_m=1.6), LookVerdict.DEPTH_CONTRADICTS),
         (localisation(range_plane_m=float("nan")), LookVerdict.DEPTH_CONTRADICTS),
         (localisation(covariance=np.full((6, 6), 1e6)), LookVerdict.TOO_UNSURE),
+        (localisation(covariance=np.full((6, 6), np.nan)), LookVerdict.TOO_UNSURE),
         (localisation(), LookVerdict.ACCEPTED),
     ],
 )
@@ -319,6 +320,40 @@ def test_what_proves_nothing_has_a_reason(monkeypatch, found, verdict):
     """The weak rungs of the localiser's ladder are none for somebody who starts from a memory."""
     monkeypatch.setattr("drone_client.onboard.localise", lambda *_: found)
     assert looked(world.picture()).verdict is verdict
+
+
+@given(
+    seeds,
+    st.sampled_from(["noise", "stripes", "white", "other rings", "torn"]),
+    st.sampled_from(["none", "noise", "far", "true"]),
+)
+@settings(max_examples=40)
+def test_whatever_a_camera_sends_a_look_has_a_verdict_and_no_exception(seed, color, depth):
+    """Noise, stripes, glare, a picture torn apart; any depth. What is accepted is the target."""
+    rng = np.random.default_rng(seed)
+    frame = world.picture(world.SEEN, seed=seed)
+    rgb = frame.color_rgb.copy()
+    if color == "noise":
+        rgb = rng.integers(0, 256, rgb.shape, dtype=np.uint8)
+    elif color == "stripes":
+        rgb[..., :] = (np.arange(640) % rng.integers(2, 40) * 9 % 256)[None, :, None]
+    elif color == "white":
+        rgb[:] = 255
+    elif color == "other rings":
+        r = np.hypot(*np.meshgrid(np.arange(640) - 340, np.arange(480) - 230))
+        rgb[:] = ((r // rng.uniform(4, 40)).astype(int) % 2 * 200 + 20)[..., None]
+    else:
+        rgb = np.roll(rgb, int(rng.integers(30, 600)), axis=1)
+    units = {
+        "none": None,
+        "noise": rng.integers(0, 65536, (240, 320), dtype=np.uint16),
+        "far": np.full((240, 320), 65535, np.uint16),
+        "true": frame.depth_units,
+    }[depth]
+    step = rng.normal(0, 1, 6) * [0.01, 0.01, 0.01, 0.01, 0.01, 0.01]
+    got = looked(replace(frame, color_rgb=rgb, depth_units=units), step)
+    assert got.verdict is not LookVerdict.ACCEPTED
+    assert got.estimate is None
 
 
 def test_measure_and_judge_work_on_world_poses_of_any_orientation():

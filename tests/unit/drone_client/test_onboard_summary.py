@@ -105,5 +105,8 @@ def test_the_table_tells_of_looks_and_of_the_longest_bridge():
     expected = "2 frames without a fresh result: 1 accepted, 1 off_prediction"
     assert rows["own eyes"] == expected
     assert rows["bridges"].startswith("1, longest 0.04 s; 75.0% of all ticks flown on own eyes")
+    assert "TAKEN BACK" not in rows
+    lost = summary_rows(plain_summary(onboard=own | {"taken_back": 2}))
+    assert lost["TAKEN BACK"].startswith("2 times the edge disagreed")
     none = summarise_onboard([], ticks("ee"), ())
     assert "bridges" not in summary_rows(plain_summary(onboard=none))
