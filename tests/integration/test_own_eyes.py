@@ -12,7 +12,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -64,14 +66,20 @@ def run(tmp_path_factory):
     )
     clock = MonotonicClock()
     times: dict[str, int] = {}
+    hands: list[threading.Thread] = []
+
+    def beside(what: Callable[[], None]) -> None:
+        """Without holding up the camera, whose thread this is."""
+        hands.append(threading.Thread(target=what))
+        hands[-1].start()
 
     def on_progress(done: int, tally: object) -> None:
         if done == BEFORE:
             times["cut"] = clock.now_ns()
-            worker.close()
+            beside(worker.close)
         elif done == BEFORE + CUT:
             times["back"] = clock.now_ns()
-            worker.open()
+            beside(worker.open)
         elif done == BEFORE + CUT + AFTER:
             raise Ended
 
@@ -87,6 +95,8 @@ def run(tmp_path_factory):
     try:
         summary = replay(source, Airframe(), settings, options, link, clock, on_progress)
     finally:
+        for hand in hands:
+            hand.join()
         worker.close()
 
     def lines(name: str) -> list[dict]:
