@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from target_pose.align import depth_points_in_box
-from target_pose.box_guess import MAX_COORDINATE_PX
+from target_pose.box_guess import MAX_COORDINATE_PX, box_guesses
 from target_pose.candidate import Box, Candidate
 from target_pose.covariance import covariance_from_information, floored, pose_offset, widened
 from target_pose.fusion import plane_error
@@ -36,7 +36,9 @@ from target_pose.lens import project
 from target_pose.localisation import Localisation, Method, Refusal
 from target_pose.localise import (
     BOARD_SHARE,
+    BOX_TILT_SIGMA_RAD,
     GATE,
+    GROSS_BOX_RATIO,
     GROSS_RATIO,
     MAX_TILT_RAD,
     SAME_FOLD_RAD,
@@ -46,13 +48,16 @@ from target_pose.plane import InverseDepthPlane, fit_plane, plane_scatter
 from target_pose.pnp_corners import corner_places
 from target_pose.pnp_evidence import PnpEvidence, View, evidence_of
 from target_pose.pnp_fit import PnpFit, fit_pose
-from target_pose.roll import (
-    UNKNOWN_SIGMA_RAD,
-)
+from target_pose.roll import UNKNOWN_SIGMA_RAD
 from target_pose.target import Target
 from target_pose.vectors import length, unit
 
 Array: TypeAlias = NDArray[np.float64]
+
+PINNED_RAD = 1e-3
+"""As well as not at all may boxes turn a board that no depth was seen on."""
+BOX_RANGE_SHARE = 0.1
+"""Standard deviation of its range then: tilt and the roll of a board hide in the boxes' sizes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +138,8 @@ def _located(
     view: View, evidence: PnpEvidence, depth_units: NDArray[np.uint16] | None
 ) -> Localisation | Refusal:
     """The fold, the depth's say, and the covariance."""
-    fits = [fit_pose(evidence.measured, start, prior=evidence.prior) for start in evidence.starts]
+    alone = _without_plane(evidence)
+    fits = [fit_pose(evidence.measured, start, prior=alone) for start in evidence.starts]
     folds = sorted(
         (fit for fit in fits if fit is not None and _faces(fit)), key=lambda fit: fit.cost
     )
@@ -142,17 +148,28 @@ def _located(
     best = folds[0]
     others = [fold for fold in folds[1:] if _angle(fold.normal, best.normal) > SAME_FOLD_RAD]
     other = others[0] if others else None
-    depth = None if depth_units is None else _board_plane(depth_units, view, best)
+    depth = None if depth_units is None else _board_plane(depth_units, view, evidence, best)
     range_plane = None
     if depth is not None:
         range_plane = _range(depth.plane, best.translation)
-        if not 1 / GROSS_RATIO < range_plane / length(best.translation) < GROSS_RATIO:
+        gross = GROSS_RATIO if evidence.tilt_known else GROSS_BOX_RATIO
+        if not 1 / gross < range_plane / length(best.translation) < gross:
             return Refusal.INCONSISTENT
         fused = _with_plane(evidence, [fold for fold in (best, other) if fold], depth.plane)
         if fused is not None:
             kept, left = (best, other) if fused.fold is best else (other, best)
             return _concluded(view, evidence, fused.fit, kept, left, depth, fused=True)
     return _concluded(view, evidence, best, best, other, depth, fused=False)
+
+
+def _without_plane(evidence: PnpEvidence) -> Array | None:
+    """The prior (6, 6) where no plane helps: of boxes the tilt has four answers or more."""
+    if evidence.tilt_known or evidence.prior is None:
+        return evidence.prior
+    normal = evidence.starts[0].rotation[:, 0]
+    pinned = evidence.prior.copy()
+    pinned[3:, 3:] += (np.eye(3) - np.outer(normal, normal)) / PINNED_RAD**2
+    return pinned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,6 +221,8 @@ def _concluded(
     covariance = covariance_from_information(information, normal, center, UNKNOWN_SIGMA_RAD)
     about_normal = np.concatenate([np.zeros(3), evidence.roll_sigma_rad * normal])
     covariance = widened(covariance, about_normal)
+    if not fused and not evidence.tilt_known:
+        covariance = covariance + _unknown_tilt(fit)
     share = 0.0
     if other is not None and not fused and other.cost - fold.cost < SURE_FOLD:
         share = 1 / (1 + math.exp((other.cost - fold.cost) / 2))
@@ -232,24 +251,53 @@ def _concluded(
     )
 
 
-def _board_plane(depth_units: NDArray[np.uint16], view: View, fit: PnpFit) -> _Depth | None:
+def _unknown_tilt(fit: PnpFit) -> Array:
+    """What a board adds to the covariance (6, 6) that is only taken to face the camera."""
+    more = np.zeros((6, 6))
+    more[:3, :3] = BOX_RANGE_SHARE**2 * np.outer(fit.translation, fit.translation)
+    about_normal = np.outer(fit.normal, fit.normal)
+    more[3:, 3:] = BOX_TILT_SIGMA_RAD**2 * (np.eye(3) - about_normal)
+    # two tilts one after the other turn the board as well
+    more[3:, 3:] += (BOX_TILT_SIGMA_RAD**2 / 2) ** 2 * about_normal
+    return more
+
+
+def _board_plane(
+    depth_units: NDArray[np.uint16], view: View, evidence: PnpEvidence, fit: PnpFit
+) -> _Depth | None:
     """The plane of the point cloud, cropped to the board as the picture alone has it."""
+    crop = _on_board if evidence.tilt_known else _in_disc
+    points = crop(depth_units, view, fit)
+    plane = fit_plane(points)
+    return None if plane is None else _Depth(plane, plane_scatter(plane, points))
+
+
+def _on_board(depth_units: NDArray[np.uint16], view: View, fit: PnpFit) -> Array:
+    """Depth points (N, 3) on the board of a pose."""
     half = BOARD_SHARE * view.target.board_side_m / 2
     rim = fit.pose @ np.column_stack([np.zeros(4), corner_places(2 * half)])
     uv = project(rim, view.camera.color)
     if not np.isfinite(uv).all():
-        return None
+        return np.empty((0, 3))
     (x0, y0), (x1, y1) = uv.min(axis=0).tolist(), uv.max(axis=0).tolist()
     points = depth_points_in_box(depth_units, view.camera, Box(x0, y0, x1, y1, 0.0)).points
     if not len(points):
-        return None
+        return points
     # by the ray and not by the point, whose depth is what is to be judged
     rays = points / points[:, 2:]
     stretch = float(fit.normal @ fit.translation) / np.minimum(rays @ fit.normal, -1e-6)
     on_board = (rays * stretch[:, None] - fit.translation) @ fit.rotation[:, 1:]
-    points = points[np.abs(on_board).max(axis=1) < half]
-    plane = fit_plane(points)
-    return None if plane is None else _Depth(plane, plane_scatter(plane, points))
+    return np.asarray(points[np.abs(on_board).max(axis=1) < half])
+
+
+def _in_disc(depth_units: NDArray[np.uint16], view: View, fit: PnpFit) -> Array:
+    """Depth points (N, 3) in the ellipse in the box of a disc: nothing else tells its tilt."""
+    disc = box_guesses(view.candidate, view.target, view.camera.color)[0].disc
+    (u, v), (a, b) = disc.center_px, disc.semi_axes_px
+    box = Box(u - a, v - b, u + a, v + b, 0.0)
+    found = depth_points_in_box(depth_units, view.camera, box)
+    inside = np.square((found.uv_px - (u, v)) / (a, b)).sum(axis=1) < 1
+    return np.asarray(found.points[inside])
 
 
 def _faces(fit: PnpFit) -> bool:

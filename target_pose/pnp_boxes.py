@@ -27,6 +27,9 @@ SIDE_PX, SIDE_SHARE = 1.5, 0.03
 """Standard deviation of a box's side: pixels, and over its size; a detector's regression."""
 BOARD_SHARE = 0.15
 """The same for the board's box, which a roll of 45 degrees makes 1.41 times as wide."""
+FORESHORTENED = 0.2
+"""Standard deviation of a box's shorter extent over its size, by tilt: half of the tilts that a
+wall's board is seen under shorten a disc by more. Its middle stays."""
 MIN_SIDES = 3
 """Two for the bearing, one for the size."""
 
@@ -49,7 +52,14 @@ def measure_boxes(
     values, axes, ends, radii, sigmas = (np.array(column) for column in zip(*sides, strict=True))
     focal = np.array([intrinsics.fx, intrinsics.fy])
     predict = _predict_sides(radii, axes.astype(np.intp), ends, focal)
-    return Measurements(values, np.diag(sigmas**-2.0), predict, pairs=False)
+    covariance = np.diag(np.square(sigmas))
+    for level in levels or list(candidate.boxes):
+        width, height = candidate.boxes[level].size_px
+        same = np.isclose(radii, target.level_m[level] / 2) & (axes == int(height < width))
+        inward = np.where(same, ends, 0) * FORESHORTENED * min(width, height) / 2
+        covariance += np.outer(inward, inward)
+    information = np.asarray(np.linalg.inv(covariance))
+    return Measurements(values, information, predict, pairs=False)
 
 
 def _sides(

@@ -33,8 +33,11 @@ MIN_SLOPE = 1.0
 MIN_SHARE = 0.5
 """Of the profiles of a side that must agree on a line."""
 MAX_SPREAD_PX = 0.6
-SHARED_PX = 2.0
-"""Profiles nearer to one another than this share their pixels."""
+LINE_FLOOR_PX = 0.03
+"""Error of a line at its ends that no number of profiles averages out: an edge along the raster
+lies in the same phase of pixels and of a JPEG's blocks all the way."""
+SHARED_PX = 3.0
+"""Profiles nearer to one another than this err alike: they share pixels, and blocks of a JPEG."""
 
 
 class Corners(NamedTuple):
@@ -170,6 +173,7 @@ def _line(
     spacing = length(chord) * (1 - 2 * ENDS) / (len(sides.along) - 1)
     alike = max(SHARED_PX / spacing, 1.0)
     spread = np.linalg.inv((design.T * fit.weights) @ design) * fit.sigma**2 * alike
+    spread += np.diag([1.0, 4 / length(chord) ** 2]) * LINE_FLOOR_PX**2
     offset, lean = (float(c) for c in fit.coefficients)
     return _Line(origin, direction, normal, offset, lean, spread, dark_outside, used)
 

@@ -66,6 +66,8 @@ class PnpEvidence:
     """What else makes the roll unsure."""
     prior: Array | None = None  # (6, 6)
     """Information about the start, for what the measurements do not show."""
+    tilt_known: bool = True
+    """The measurements tell the tilt, but for the fold; else it is the start's without a plane."""
 
 
 def evidence_of(view: View) -> PnpEvidence | Refusal:
@@ -146,4 +148,6 @@ def _by_boxes(view: View) -> PnpEvidence | None:
     prior[3:, 3:] = (np.eye(3) - about_normal) / BOX_TILT_SIGMA_RAD**2
     prior[3:, 3:] += about_normal / roll.sigma_rad**2
     starts = [rolled_pose(board, roll.up)]
-    return PnpEvidence(measured, starts, len(measured.values), roll.source, 0.0, prior)
+    return PnpEvidence(
+        measured, starts, len(measured.values), roll.source, 0.0, prior, tilt_known=False
+    )

@@ -418,14 +418,17 @@ def test_the_wall_may_be_darker_than_the_board_or_lighter(wall):
 
 
 def test_the_corners_covariance_is_that_of_their_errors():
-    """Chi-square of the eight coordinates, but for the shift to the dark side that is not here."""
+    """Chi-square of the eight coordinates, but for what is believed of cameras and not drawn here.
+
+    Those are the shift to the dark side and what a JPEG does to a whole line.
+    """
     camera, places = rig("none"), corner_places(BULLSEYE.board_side_m)
     focal = np.array([camera.color.fx, camera.color.fy])
     rng = np.random.default_rng(0)
     distances = []
     for k in range(30):
         pose = facing_pose([0.1, 0.0, 1.3], rng.uniform(0, 0.8), rng.uniform(0, 6), rng.normal())
-        color, _ = bullseye_frame(pose, camera, k, noise=4.0, supersample=3)
+        color, _ = bullseye_frame(pose, camera, k, noise=4.0, supersample=3, jpeg_quality=80)
         start = Pose.from_rotation(
             rotation_from_vector(rng.normal(0, 0.01, 3)) @ pose.rotation,
             pose.translation * rng.normal(1, 0.005),
@@ -434,8 +437,8 @@ def test_the_corners_covariance_is_that_of_their_errors():
         true = pose @ np.column_stack([np.zeros(4), places])
         miss = (corners.pixels - true[:, :2] / true[:, 2:] * focal).ravel()
         distances.append(miss @ np.linalg.solve(corners.covariance, miss))
-    # seven of the eight are noise; the eighth, the common shift, is far smaller than its prior
-    assert np.mean(distances) == pytest.approx(7, rel=0.35)
+    assert 2 < np.mean(distances) < 9
+    assert np.quantile(distances, 0.9) < chi2.ppf(0.95, 8)
 
 
 def test_a_covered_corner_or_a_cut_board_leaves_the_boxes_and_an_honest_covariance():
@@ -455,6 +458,40 @@ def test_a_covered_corner_or_a_cut_board_leaves_the_boxes_and_an_honest_covarian
     up = -np.array([0.0, 1.0, 0.0])
     found = localise_pnp(color, units, camera, candidate, BULLSEYE, up)
     assert found.roll_source is RollSource.GRAVITY
+
+
+def test_boxes_alone_claim_no_tilt():
+    """A disc's box is alike for four tilts and more: the board is taken to face the camera."""
+    camera = rig("none")
+    for azimuth in np.linspace(0, 6, 7):
+        pose = facing_pose([0.15, -0.1, 1.2], 0.9, azimuth)
+        candidate = bullseye_candidate(pose, camera)
+        found = localise_pnp(0 * BLANK, None, camera, candidate, BULLSEYE, pose.rotation[:, 2])
+        position, _, distance2 = error(found, pose)
+        assert position < 0.3
+        assert distance2 < chi2.ppf(0.999, 6)
+        normal = found.camera_from_target.rotation[:, 0]
+        line = -found.camera_from_target.translation / np.linalg.norm(
+            found.camera_from_target.translation
+        )
+        assert normal @ line > math.cos(0.1)
+        across = np.cross(normal, [0.0, 1.0, 0.0])
+        across /= np.linalg.norm(across)
+        assert math.sqrt(across @ found.covariance[3:, 3:] @ across) > math.radians(30)
+
+
+def test_boxes_of_a_flat_view_do_not_take_the_wall_for_the_board():
+    """Seen from 68 degrees a disc's box is narrow: only the depth in its ellipse is the board's."""
+    camera = rig("none")
+    for azimuth in (0.0, 0.7, 3.0):
+        pose = facing_pose([-0.5, 0.2, 1.4], math.radians(68), azimuth)
+        units = render_depth(BULLSEYE, camera, pose, None, np.random.default_rng(1), **STEREO)
+        candidate = bullseye_candidate(pose, camera)
+        found = localise_pnp(0 * BLANK, units, camera, candidate, BULLSEYE, pose.rotation[:, 2])
+        position, normal, distance2 = error(found, pose)
+        assert position < 0.1
+        assert normal < math.radians(4)
+        assert distance2 < chi2.ppf(0.999, 6)
 
 
 def test_a_black_picture_still_has_the_boxes_and_the_depth():
