@@ -90,6 +90,12 @@ def test_the_error_ball_never_shrinks_while_nobody_confirms(time1, time2, range_
     assert small <= error_ball_m(0, range_m, sigma_m, SETTINGS, longer) < math.inf
 
 
+@pytest.mark.parametrize("alone", [-1, math.nan, math.inf, 10**400, -(10**400)])
+def test_the_error_ball_is_finite_for_any_time_alone(alone) -> None:
+    """A broken clock makes no broken ball here either."""
+    assert 0.005 < error_ball_m(0, 1.0, 0.001, SETTINGS, alone) < 20.0
+
+
 def test_a_long_time_alone_turns_into_a_retreat_by_itself() -> None:
     """Poses stay fresh, and the tip still goes back from the board as the ball grows."""
     p, out = np.array([0.05, 0.0, 0.0]), []

@@ -261,6 +261,21 @@ def test_settings_reach_the_parts_in_nanoseconds_and_each_start_is_another():
     assert a.uplink.boot_id != b.uplink.boot_id
 
 
+def test_own_eyes_are_set_up_only_where_they_are_asked_for():
+    """Their target is loaded, their time is in nanoseconds, the filter's growth in metres."""
+    assert flight_settings(ClientSettings()).own_eyes is None
+    asked = ClientSettings(
+        onboard_fallback=True,
+        onboard_target="bullseye-200",
+        onboard_max_s=2.5,
+        onboard_growth_mm_s=25,
+    )
+    parts = flight_settings(asked)
+    assert parts.own_eyes.target.name == "bullseye-200"
+    assert parts.own_eyes.alone_max_ns == 2_500 * MS
+    assert parts.control.filter.unconfirmed_mps == 0.025
+
+
 def test_a_result_makes_the_drone_close_in_and_stopping_makes_it_stand_still(tmp_path):
     """Commands go east, towards the target; the last one of all is zero."""
     body = pose((3, 1, 1.45))
