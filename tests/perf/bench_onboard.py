@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections import Counter
@@ -69,7 +70,7 @@ SHORT_NS = 5 * SECOND
 MIN_WORDS = 3
 """Results accepted before the link is cut."""
 ALONE_MAX_NS = 5 * SECOND
-WRONG_M, WRONG_RAD = 0.05, np.radians(15)
+WRONG_M, WRONG_RAD = 0.05, math.radians(15)
 """An accepted look that is further off than this is of something else."""
 PUSHES_MPS = (0.01, 0.1)
 """Odometry's drift towards a look-alike: what the drone allows for, and ten times that."""
@@ -353,7 +354,7 @@ def temptations(simulation: Simulation, duration_s: float) -> list[dict[str, Any
     rows = []
     for push_mps in PUSHES_MPS[: 1 if TWIN in sequence.kind else None]:
         flown = []
-        for start_ns, end_ns in simulation.cuts(round(duration_s * SECOND)):
+        for start_ns, end_ns in list(simulation.cuts(round(duration_s * SECOND)))[::2]:
             flown.append(
                 simulation.fly(
                     start_ns,
@@ -493,7 +494,9 @@ def main() -> int:
     tempted: list[dict[str, Any]] = []
     look_ms: list[float] = []
 
-    def measured(sequence: Sequence, tempt: bool) -> None:
+    line = f"scripts/bench {' '.join(['onboard', *sys.argv[1:]])}"
+
+    def measured(sequence: Sequence, seconds: list[float], tempt: bool) -> None:
         simulation = Simulation(sequence, pipeline)
         found, count = simulation.found(), len(sequence.shots)
         print(f"{sequence.kind}, {sequence.name}: seen in {found} of {count}", file=sys.stderr)
@@ -501,26 +504,26 @@ def main() -> int:
         if tempt:
             tempted.extend(temptations(simulation, max(seconds)))
         look_ms.extend(simulation.look_ms)
+        if args.write:  # after each approach: a long run that is ended has something to show
+            page = report(merged(bridges), merged(tempted), look_ms, line)
+            part = args.write.with_suffix(".part")
+            part.write_text(page, encoding="utf-8")
+            part.replace(args.write)
 
     if not args.no_recordings:
         for sequence in recordings():
-            measured(sequence, tempt=False)
+            measured(sequence, seconds, tempt=False)
     for seed in range(1, args.flights + 1):
-        measured(rendered(seed, target), tempt=False)
+        measured(rendered(seed, target), seconds, tempt=False)
     names = [name for name in args.lookalikes.split(",") if name]
     for number, name in enumerate(names, 101):
-        measured(rendered(number, target, name), tempt=True)
-    rows = merged(bridges)
-    temptation_rows = merged(tempted)
-    page = report(rows, temptation_rows, look_ms, f"scripts/bench {' '.join(_given())}")
-    print(json.dumps({"bridges": rows, "temptations": temptation_rows}) if args.json else page)
-    if args.write:
-        args.write.write_text(page, encoding="utf-8")
+        measured(rendered(number, target, name), seconds[-2:], tempt=True)
+    rows, temptation_rows = merged(bridges), merged(tempted)
+    if args.json:
+        print(json.dumps({"bridges": rows, "temptations": temptation_rows}))
+    else:
+        print(report(rows, temptation_rows, look_ms, line))
     return sum(r["wrong"] for r in rows) + sum(r["accepted"] for r in temptation_rows) > 0
-
-
-def _given() -> list[str]:
-    return ["onboard", *sys.argv[1:]]
 
 
 if __name__ == "__main__":
