@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_wire.camera import RgbdCamera
+from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from rgbd_wire.geometry import Pose
 from target_pose.box_guess import BORDER_PX, box_guesses
 from target_pose.candidate import Candidate
@@ -21,8 +21,8 @@ from target_pose.lens import rays_from_pixels
 from target_pose.localisation import Refusal, RollSource
 from target_pose.localise import BOX_TILT_SIGMA_RAD, MIN_DISC_PX
 from target_pose.pnp_boxes import measure_boxes
-from target_pose.pnp_corners import corner_places, measure_corners
-from target_pose.pnp_fit import Measurements, predict_points
+from target_pose.pnp_corners import Corners, corner_places, measure_corners
+from target_pose.pnp_fit import Measurements, Predict, predict_points
 from target_pose.pnp_points import SeenPoints, fit_points, seen_points
 from target_pose.pnp_solve import planar_poses
 from target_pose.roll import (
@@ -38,7 +38,9 @@ from target_pose.vectors import unit
 Array: TypeAlias = NDArray[np.float64]
 
 PASSES = 2
-"""The edges are looked for where the rough outline has them, then where their corners have them."""
+"""The edges are looked for where the rough outline has them, then where their corners do ..."""
+SETTLED_PX = 1.0
+"""... if that is farther off than this: well inside of every profile."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,33 +105,46 @@ def _by_corners(view: View) -> PnpEvidence | None:
     rough = find_circle(image, intrinsics, printed_circles(target)[0], guesses)
     if rough is None:
         return None
-    places = corner_places(target.board_side_m)
-    focal = np.array([intrinsics.fx, intrinsics.fy])
     for fold in rough.folds:
         roll = find_roll(image, intrinsics, fold, target, view.up_camera)
         if roll.source is not RollSource.EDGES:
             continue
-        starts = [rolled_pose(fold, roll.up)]
-        corners = None
-        for _ in range(PASSES):
-            corners = measure_corners(image, intrinsics, starts[0], target)
-            starts = [] if corners is None else planar_poses(places, corners.pixels, focal)
-            if not starts:
-                break
-        if corners is None or not starts:
+        found = _corners_near(image, intrinsics, target, rolled_pose(fold, roll.up))
+        if found is None:
             continue
+        corners, starts, predict = found
         hint = hinted_roll(
             CirclePose(starts[0].translation, starts[0].rotation[:, 0]), view.up_camera
         )
         sure_of_upper = hint.sigma_rad <= ASSUMED_SIGMA_RAD
-        measured = Measurements(
-            corners.pixels.ravel(),
-            np.asarray(np.linalg.inv(corners.covariance)),
-            predict_points(places, focal),
-        )
+        information = np.asarray(np.linalg.inv(corners.covariance))
+        measured = Measurements(corners.pixels.ravel(), information, predict)
         sigma = EDGE_FLOOR_RAD if sure_of_upper else math.pi / 4
         return PnpEvidence(measured, starts, corners.profiles, RollSource.EDGES, sigma)
     return None
+
+
+def _corners_near(
+    image: NDArray[np.uint8], intrinsics: CameraIntrinsics, target: Target, start: Pose
+) -> tuple[Corners, list[Pose], Predict] | None:
+    """The corners about where a pose has them, the poses that they have, and their prediction."""
+    places = corner_places(target.board_side_m)
+    focal = np.array([intrinsics.fx, intrinsics.fy])
+    predict = predict_points(places, focal)
+    found = None
+    for _ in range(PASSES):
+        corners = measure_corners(image, intrinsics, start, target)
+        poses = [] if corners is None else planar_poses(places, corners.pixels, focal)
+        if corners is None or not poses:
+            return None
+        found = corners, poses, predict
+        expected = predict(start.translation, start.rotation, 0.0)
+        start = poses[0]
+        if expected is None:
+            continue
+        if np.abs(expected.values - corners.pixels.ravel()).max() < SETTLED_PX:
+            break
+    return found
 
 
 def _by_boxes(view: View) -> PnpEvidence | None:
