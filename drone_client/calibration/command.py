@@ -93,7 +93,7 @@ def calibrate(
     misses = tuple(m for m in found if isinstance(m, Miss))
     judgement = judge(sightings, source.camera, printed)
     outcome = Calibration(name, printed.name, sightings, misses, judgement)
-    if plot is not None and sightings:
+    if plot is not None:
         plot_calibration(plot, outcome, source.camera.color_from_depth)
     if as_json_:
         print(json.dumps(as_json(outcome), indent=2))

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drone_client.calibration.sighting import Miss, Sighting
-from drone_client.calibration.verdicts import Finding, Judgement
+from drone_client.calibration.verdicts import AGREEMENT, Finding, Judgement
 from drone_client.errors import OutputError
 from rgbd_wire.geometry import Pose
 
@@ -86,6 +86,11 @@ def print_table(c: Calibration, console: Console) -> None:
             words.append(f"\n-> {v.do}")
         table.add_row(Text(v.name, style="bold"), Text(v.finding, style=STYLES[v.finding]), words)
     console.print(table)
+    off = [v for v in c.judgement.verdicts if v.finding is Finding.OFF and v.name != AGREEMENT]
+    if len(off) > 1:
+        console.print(
+            Text("several are off: put the surest right, then run again; one may show as another")
+        )
     console.print(Text(_frames(c)))
 
 
@@ -103,7 +108,7 @@ def plot_calibration(path: Path, c: Calibration, color_from_depth: Pose) -> None
     gaps, normals = figure.subplots(2, 1)
     ranges = np.array([s.circles.range_m for s in c.sightings])
     ratios = np.array([s.ratio for s in c.sightings])
-    gaps.plot(ranges, 100 * (ratios - 1), ".", color="tab:blue", label="depth over circles")
+    gaps.plot(ranges, 100 * (ratios - 1), ".", color="tab:blue", label="one frame")
     gaps.axhline(0.0, color="black", lw=0.8)
     if c.judgement.errors is not None:
         _plot_fit(gaps, c, ranges)

@@ -30,6 +30,7 @@ TOLD_SHIFT_M: Final = 6e-3
 TOLD_TURN_RAD: Final = math.radians(0.6)
 """Standard deviations past which a quantity counts as not seen."""
 SURE_SIGMAS: Final = 2.0
+AGREEMENT: Final = "agreement"
 NEAR_UNIT: Final = 0.03
 UNITS: Final[dict[float, str]] = {
     0.001: "1 mm: RealSense D400 and Kinect",
@@ -141,12 +142,13 @@ def _agreement(sightings: Sequence[Sighting], errors: RigErrors) -> Verdict:
     """Range by depth over range by circles, over the recording as it was flown."""
     share = errors.gap_share
     middle = float(np.median(share))
-    # of the middle: frames near each other err together, a tenth of them are taken to be apart
-    scatter = 1.4826 * float(np.median(np.abs(share - middle)))
+    # from frame to frame, since over the range it may well change
+    scatter = 1.4826 * float(np.median(np.abs(np.diff(share)))) / math.sqrt(2)
+    # neighbours err together: one in ten is taken to be apart
     sigma = 1.25 * scatter / math.sqrt(max(len(share) / 10, 1))
     off = abs(middle) > TOLERATED_SHARE + SURE_SIGMAS * sigma
     return Verdict(
-        "agreement",
+        AGREEMENT,
         Finding.OFF if off else Finding.GOOD,
         f"range by depth is {_percent(middle, sigma)} longer than by circles, {_over(sightings)}"
         + ("" if off else f" (up to {100 * TOLERATED_SHARE:.1f} % is allowed for)"),
