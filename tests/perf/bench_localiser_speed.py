@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tests.perf.bench_detector_prints import APRILTAG, ARUCO, OURS
 from tests.perf.bench_localiser_markers import april_tag_poses, aruco_poses, black_side_m
@@ -32,15 +31,21 @@ class Timed:
     count: int
     p50_ms: float
     p99_ms: float
-    ratio: float | None
-    """Median over the poses of the time of ``localise`` over its own on the same pose."""
-    ratio_low: float | None
-    ratio_high: float | None
+    cpu_p50_ms: float
+    """Of the processor: what is left of it when others take the core away."""
+    ratio: float
+    """Median over the poses of the processor's time of ``localise`` over its own on the pose."""
+    ratio_low: float
+    ratio_high: float
     """Quartiles of that."""
 
 
 def measure(setting: Setting, count: int) -> list[Timed]:
-    """Each contender on ``count`` poses of the accuracy cells, in a process of its own."""
+    """Each contender on ``count`` poses of the accuracy cells, in a process of its own.
+
+    Returns:
+        Ours first; nothing where the detector found no target.
+    """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
         return pool.submit(_measure, setting, count).result()
@@ -58,6 +63,7 @@ def _measure(setting: Setting, count: int) -> list[Timed]:
     os.sched_setaffinity(0, {core})
     ways = {LOCALISE if name == OURS else name: way for name, way in localisers().items()}
     times: dict[str, list[float]] = {name: [] for name in (*ways, *finders)}
+    spent: dict[str, list[float]] = {name: [] for name in times}
     cells = accuracy_cells()
     for k in range(count):
         cell, index = cells[k % len(cells)], k // len(cells)
@@ -73,20 +79,22 @@ def _measure(setting: Setting, count: int) -> list[Timed]:
             runs[name] = _bound(find, other.color_rgb)
         for turn in range(WARM if k == 0 else 0, -1, -1):
             for name, run in runs.items():
-                start = time.perf_counter_ns()
+                start, cpu = time.perf_counter_ns(), time.process_time_ns()
                 run()
                 if turn == 0:
                     times[name].append((time.perf_counter_ns() - start) / 1e6)
-    return [_timed(name, np.array(t), np.array(times[LOCALISE])) for name, t in times.items()]
+                    spent[name].append((time.process_time_ns() - cpu) / 1e6)
+    if not times[LOCALISE]:
+        return []
+    return [_timed(name, times[name], spent[name], spent[LOCALISE]) for name in times]
 
 
 def _bound(run: Callable[..., object], *arguments: Any) -> Callable[[], object]:
     return lambda: run(*arguments)
 
 
-def _timed(name: str, ms: NDArray[np.float64], ours: NDArray[np.float64]) -> Timed:
-    if not len(ms):
-        return Timed(name, 0, float("nan"), float("nan"), None, None, None)
-    low, middle, high = np.quantile(ours / ms, (0.25, 0.5, 0.75)).tolist()
+def _timed(name: str, ms: list[float], cpu_ms: list[float], ours_ms: list[float]) -> Timed:
+    ratios = np.array(ours_ms) / np.maximum(cpu_ms, 1e-3)
+    low, middle, high = np.quantile(ratios, (0.25, 0.5, 0.75)).tolist()
     p50, p99 = np.percentile(ms, (50, 99)).tolist()
-    return Timed(name, len(ms), p50, p99, middle, low, high)
+    return Timed(name, len(ms), p50, p99, float(np.median(cpu_ms)), middle, low, high)
