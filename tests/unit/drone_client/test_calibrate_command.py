@@ -92,11 +92,9 @@ def nothing(camera):
     [
         (nothing, 0, set()),
         (shifted(2, 0.02), 1, {"shift forward"}),
-        (shifted(2, -0.02), 1, {"shift forward"}),
         (shifted(0, 0.02), 1, {"shift right"}),
         (scaled(1.02), 1, {"scale"}),
         (scaled(5.0), 1, {"depth unit"}),
-        (scaled(10.0), 1, {"depth unit"}),
         (scaled(0.3048), 1, {"depth unit"}),
     ],
 )
@@ -118,7 +116,7 @@ def test_what_was_made_wrong_is_named(calibrate, camera_file, change, code, off)
 def test_people_get_a_table_and_a_picture(calibrate, tmp_path):
     """Each quantity with its verdict, and what to do where not enough was seen."""
     plot = tmp_path / "cal.png"
-    code, out, err = calibrate(RECORDING, "--truth", TRUTH, "--frames", 30, "--plot", plot)
+    code, out, err = calibrate(RECORDING, "--truth", TRUTH, "--frames", 23, "--plot", plot)
     assert (code, err) == (0, "")
     for words in ("agreement", "good", "shift down", "unknown", "-> look at the target from above"):
         assert words in out
