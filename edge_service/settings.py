@@ -118,7 +118,7 @@ class EdgeSettings(BaseSettings):
     weights: Path | None = Field(
         None,
         description="The detector's weights, a safetensors file, or for onnxruntime and openvino "
-        "an ONNX file, a YOLOv8 or v11 export included. Default: those packaged.",
+        "an ONNX file, a YOLOv8 or v11 export (also pose) included. Default: those packaged.",
     )
     classes: str | None = Field(
         None,
