@@ -111,13 +111,13 @@ class Localisation:
     ambiguous: bool = False
     """Nothing tells the two folds apart; the covariance spans both."""
     range_ellipse_m: float | None = None
-    """Distance to the target's centre as the circles alone have it."""
+    """Distance to the target's centre as the circles (``PNP``: the points) alone have it."""
     range_plane_m: float | None = None
     """Distance to the plane along the target's bearing as the depth alone has it."""
     ellipse_rms_px: float | None = None
-    """Root mean square of the used edge points about the fitted circles."""
+    """Root mean square of the used edge points about the fitted circles; ``PNP``: of the points."""
     ellipse_points: int = 0
-    """Edge points used."""
+    """Edge points used; ``PNP``: labelled points, or points of the board's edges."""
     picture_rms_levels: float | None = None
     """Of a small target, all of whose pixels were fitted: root mean square of the used ones about
     what the pose predicts [grey values]."""

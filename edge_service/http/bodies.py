@@ -58,14 +58,14 @@ class CircleBody(_Body):
 class EvidenceBody(_Body):
     """What the pose rests on, and how well that fits."""
 
-    range_ellipse_m: float | None = Field(description="Distance as the circles alone have it.")
+    range_ellipse_m: float | None = Field(description="As the circles (pnp: points) have it.")
     range_ellipse_sigma_m: float | None
     range_plane_m: float | None = Field(description="Distance as the depth alone has it.")
     range_plane_sigma_m: float | None
     ranges_apart_sigmas: float | None = Field(
         description="Plane range less ellipse range, over the standard deviation of the difference."
     )
-    ellipse_rms_px: float | None = Field(description="Edge points about the fitted circles.")
+    ellipse_rms_px: float | None = Field(description="Edge points about the circles; pnp: points.")
     ellipse_points: int = Field(description="Edge points used.")
     ellipse_points_measured: int
     circles: list[CircleBody] = Field(description="The same for each circle, outermost first.")
