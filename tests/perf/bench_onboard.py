@@ -492,7 +492,7 @@ def _notes(bridges: list[dict[str, Any]]) -> list[str]:
     if any(r["kind"] == "real recording" for r in bridges):
         notes += [
             "The real recording is too short for more than a second, and its target, drawn into "
-            "it, turns by up to 2.6 degrees against the recording's own world without moving. No "
+            "it, turns by 2.8 degrees against the recording's own world and moves by 8 mm. No "
             "rigid board does that, and no odometry: the gate takes it for what it is, something "
             "else than what the edge saw.",
             "",
