@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,8 +13,14 @@ import pytest
 
 from detector_training.errors import DatasetError, SceneError
 from detector_training.scenes import stereo
-from detector_training.scenes.flight import random_sway, world_from_camera
-from detector_training.scenes.recording import d455, plan_flight, render_frame, write_recording
+from detector_training.scenes.flight import Sway, random_sway, world_from_camera
+from detector_training.scenes.recording import (
+    Neighbour,
+    d455,
+    plan_flight,
+    render_frame,
+    write_recording,
+)
 from rgbd_wire.camera import load_camera
 from rgbd_wire.geometry import Pose
 from target_pose.target import load_target
@@ -175,6 +182,41 @@ def test_rendering_again_gives_the_shipped_frames():
     assert (first.depth == shipped_depth(30)).mean() > 0.995
     other = render_frame(plan_flight(SEED + 1, TARGET), 30)
     assert (other.depth != first.depth).mean() > 0.5
+
+
+def test_a_slower_approach_is_where_the_quick_one_is_at_the_same_part_of_the_way():
+    """Half the pace takes twice the time; the sway is that of the clock."""
+    still = np.zeros((6, 1))
+    calm = Sway(still, still, still)
+    spot = np.array([0.0, 0.0, 1.5])
+    for t_s in (0.0, 0.7, 1.9, 3.6):
+        quick, slow = (world_from_camera(t, spot, calm, p) for t, p in ((t_s, 1.0), (2 * t_s, 0.5)))
+        np.testing.assert_allclose(slow.matrix, quick.matrix, atol=1e-12)
+    swaying = random_sway(np.random.default_rng(0))
+    at_end = [world_from_camera(20.0, spot, swaying, pace).matrix for pace in (1.0, 0.5)]
+    np.testing.assert_allclose(*at_end, atol=1e-12)
+
+
+def test_a_neighbour_hangs_beside_the_target_and_changes_nothing_else():
+    """A white sheet 0.5 m to the right: brighter there, and the same picture outside of it."""
+    flight = plan_flight(SEED, TARGET)
+    sheet = np.ones((64, 64, 4), np.float32)
+    aside = Pose(np.array([0.0, 0.5, 0.0]), Pose.identity().q_wxyz)
+    bare, hung = (
+        render_frame(f, 30)
+        for f in (flight, replace(flight, neighbours=(Neighbour(sheet, 0.3, aside),)))
+    )
+    lens = d455().color
+    corners = np.array([[0, y, z] for y in (-0.15, 0.15) for z in (-0.15, 0.15)])
+    seen = bare.camera_from_target @ aside @ corners
+    uv = seen[:, :2] / seen[:, 2:] * (lens.fx, lens.fy) + (lens.cx, lens.cy)
+    (u0, v0), (u1, v1) = np.rint(uv.min(0)).astype(int), np.rint(uv.max(0)).astype(int)
+    assert hung.color[v0 + 4 : v1 - 4, u0 + 4 : u1 - 4].mean() > 1.3 * (
+        bare.color[v0 + 4 : v1 - 4, u0 + 4 : u1 - 4].mean()
+    )
+    differs = np.abs(hung.color.astype(int) - bare.color).max(2) > 12
+    differs[max(v0 - 12, 0) : v1 + 12, max(u0 - 12, 0) : u1 + 12] = False
+    assert differs.mean() < 1e-3
 
 
 def test_writing_refuses_what_it_cannot_do(tmp_path):
