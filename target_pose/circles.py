@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_wire.camera import CameraIntrinsics
+from target_pose.appearance import LEAST_BLUR_PX, Board, Look
+from target_pose.appearance_fit import AppearanceFit, Patch, cut_patch, fit_appearance
 from target_pose.box_guess import BoxGuess
 from target_pose.circle_edges import (
     CircleEdges,
     PrintedCircle,
     circles_worth_measuring,
     measure_edges,
+    printed_circles,
 )
 from target_pose.conic import CirclePose, circle_poses
 from target_pose.disc_finder import find_disc
@@ -22,6 +26,8 @@ from target_pose.ellipse import fit_ellipse
 from target_pose.fusion import OUTLIER_COST, CircleFit, fit_circles
 from target_pose.lens import rays_from_pixels
 from target_pose.plane import InverseDepthPlane
+from target_pose.roll import find_roll
+from target_pose.target import Shade, Target
 from target_pose.vectors import length
 
 Array: TypeAlias = NDArray[np.float64]
@@ -37,15 +43,27 @@ MAX_RMS_SHARE = 0.01
 """Root mean square error over the disc's radius past which the outline is no circle's."""
 
 
+SMALL_PX = 48.0
+"""Width of the outer disc under which all pixels are fitted at once, and not the edges."""
+MIN_PIXEL_SHARE = 0.7
+"""Of the pixels on the board that must look as they should; the rest may be covered."""
+MAX_NOISE_SHARE = 0.12
+"""Deviation of the picture from what the pose predicts, over the contrast of the print."""
+MIN_CONTRAST = 6.0
+"""Of the print, in grey values."""
+
+
 class RoughCircle(NamedTuple):
     """The outer disc before its pose is refined."""
 
     folds: tuple[CirclePose, CirclePose]
     step_px: float
     """Profile step that fits the picture's blur."""
+    blur_px: float
+    """Standard deviation of the blur, as far as the search shows it."""
 
 
-class SeenFold(NamedTuple):
+class SeenEdges(NamedTuple):
     """The circles' edges where one fold predicts them, and the pose there that fits them best."""
 
     edges: CircleEdges
@@ -53,9 +71,39 @@ class SeenFold(NamedTuple):
     radius_px: float
     """Of the outer circle."""
 
-    def cost(self, sigma_px: float) -> float:
+    def cost(self, sigma: float) -> float:
         """Squared errors in standard deviations; an edge that is not there counts as an outlier."""
-        return self.fit.cost(sigma_px) + OUTLIER_COST * self.edges.missing
+        return self.fit.cost(sigma) + OUTLIER_COST * self.edges.missing
+
+    def fit_with_plane(
+        self, intrinsics: CameraIntrinsics, plane: InverseDepthPlane
+    ) -> CircleFit | None:
+        """The pose that fits edges and plane together; None if not the edges any more."""
+        fit = fit_circles(self.edges, intrinsics, self.fit.pose, plane)
+        return fit if fit is not None and _round(fit, self.radius_px) else None
+
+
+class SeenBoard(NamedTuple):
+    """A small target's pixels, and the pose near one fold under which it looks like them."""
+
+    patch: Patch
+    board: Board
+    fit: AppearanceFit
+
+    def cost(self, sigma: float) -> float:
+        """Squared errors in standard deviations."""
+        return self.fit.cost(sigma)
+
+    def fit_with_plane(
+        self, intrinsics: CameraIntrinsics, plane: InverseDepthPlane
+    ) -> AppearanceFit | None:
+        """The pose that fits pixels and plane together; None if not the pixels any more."""
+        fit = fit_appearance(self.patch, self.board, self.fit.look, plane, lit=True)
+        return fit if fit is not None and _looks_right(fit) else None
+
+
+SeenFold: TypeAlias = SeenEdges | SeenBoard
+PoseFit: TypeAlias = CircleFit | AppearanceFit
 
 
 def find_circle(
@@ -73,41 +121,61 @@ def find_circle(
         if folds is None:
             continue
         blur = outline.blur_px if math.isfinite(outline.blur_px) else 1.0
-        return RoughCircle(folds, min(max(STEP_PER_BLUR * blur, MIN_STEP_PX), MAX_STEP_PX))
+        step_px = min(max(STEP_PER_BLUR * blur, MIN_STEP_PX), MAX_STEP_PX)
+        return RoughCircle(folds, step_px, blur)
     return None
 
 
 def fit_fold(
     image: NDArray[np.uint8],
     intrinsics: CameraIntrinsics,
-    circles: tuple[PrintedCircle, ...],
+    target: Target,
     rough: RoughCircle,
     fold: CirclePose,
+    up_camera: Array | None = None,
 ) -> SeenFold | None:
-    """Measure all circles that are large enough, near one of the rough folds, and fit the pose.
+    """Fit the pose near one of the rough folds to what is seen there.
 
-    Near the target the folds predict the inner circles in different places, so that each has to
-    look for its own.
+    A small target's edges run into one another: all its pixels are fitted. Of a larger one the
+    edges are measured. Near the target the folds predict the inner circles in different places, so
+    that each has to look for its own.
 
     Returns:
-        The fit, or None if what is there is not circles.
+        The fit, or None if what is there is not the target.
     """
+    circles = printed_circles(target)
     px_per_m = _px_per_m(intrinsics, rough.folds[0])
+    if 2 * circles[0].radius_m * px_per_m < SMALL_PX:
+        return _fit_board(image, intrinsics, target, rough, fold, up_camera)
     worth = circles_worth_measuring(circles, px_per_m)
     edges = measure_edges(image, intrinsics, fold, worth, rough.step_px)
     if edges is None or len(edges.xy) < MIN_POINTS:
         return None
     radius_px = circles[0].radius_m * px_per_m
     fit = fit_circles(edges, intrinsics, fold)
-    return SeenFold(edges, fit, radius_px) if fit is not None and _round(fit, radius_px) else None
+    return SeenEdges(edges, fit, radius_px) if fit is not None and _round(fit, radius_px) else None
 
 
-def fit_with_plane(
-    seen: SeenFold, intrinsics: CameraIntrinsics, plane: InverseDepthPlane
-) -> CircleFit | None:
-    """The pose that fits edges and plane together; None if it does not fit the edges any more."""
-    fit = fit_circles(seen.edges, intrinsics, seen.fit.pose, plane)
-    return fit if fit is not None and _round(fit, seen.radius_px) else None
+def _fit_board(
+    image: NDArray[np.uint8],
+    intrinsics: CameraIntrinsics,
+    target: Target,
+    rough: RoughCircle,
+    fold: CirclePose,
+    up_camera: Array | None,
+) -> SeenBoard | None:
+    board = Board(
+        target.board_side_m / 2, printed_circles(target), target.board_shade is Shade.WHITE
+    )
+    up = find_roll(image, intrinsics, fold, target, up_camera).up
+    blur_px = max(rough.blur_px, 2 * LEAST_BLUR_PX)
+    start = Look(fold.center, fold.normal, up, blur_px2=blur_px**2)
+    patch = cut_patch(image, intrinsics, board, start)
+    if patch is None:
+        return None
+    blur_px2 = max(start.blur_px2 / patch.bin_px**2, LEAST_BLUR_PX**2)
+    fit = fit_appearance(patch, board, replace(start, blur_px2=blur_px2))
+    return SeenBoard(patch, board, fit) if fit is not None and _looks_right(fit) else None
 
 
 def _poses(xy: Array, radius_m: float) -> tuple[CirclePose, CirclePose] | None:
@@ -124,3 +192,10 @@ def _round(fit: CircleFit, radius_px: float) -> bool:
     """The edge points lie on the circles of one pose."""
     many = np.count_nonzero(fit.inliers) >= max(MIN_POINTS, MIN_INLIER_SHARE * len(fit.inliers))
     return bool(many) and fit.rms_px <= max(MAX_RMS_PX, MAX_RMS_SHARE * radius_px)
+
+
+def _looks_right(fit: AppearanceFit) -> bool:
+    """The pixels show the print, in black on white."""
+    many = np.count_nonzero(fit.inliers) >= MIN_PIXEL_SHARE * len(fit.inliers)
+    contrast = fit.contrast
+    return bool(many) and contrast >= max(MIN_CONTRAST, fit.noise / MAX_NOISE_SHARE)

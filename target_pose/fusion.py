@@ -21,7 +21,7 @@ Array: TypeAlias = NDArray[np.float64]
 DARK_SHIFT_SIGMA_PX = 0.3
 """How far tone curve, glare and ink may move every edge towards its dark side; the inner circles,
 whose dark side is the other one, measure it where they are seen."""
-SIZE_SIGMA = 2e-3
+SIZE_SIGMA = 1.5e-3
 """Relative error of print size over focal length, which no picture of one target shows."""
 EDGE_FLOOR_PX = 0.04
 """Least standard deviation of one edge point: pixel raster, JPEG."""
@@ -45,8 +45,8 @@ class CircleFit:
     """Inverse covariance of (translation, rotation vector), camera frame; says nothing of roll."""
     errors_px: Array  # (N,)
     """Of all edge points, outliers too."""
-    sigma_px: float
-    """Robust standard deviation of the errors."""
+    sigma: float
+    """Robust standard deviation of the errors [px]."""
     inliers: NDArray[np.bool_]  # (N,)
     share: Array  # (N,)
     """What each point counts for."""
@@ -60,9 +60,9 @@ class CircleFit:
         """Root mean square error of the inliers."""
         return float(np.sqrt(np.square(self.errors_px[self.inliers]).mean()))
 
-    def cost(self, sigma_px: float) -> float:
+    def cost(self, sigma: float) -> float:
         """Squared errors in standard deviations, an outlier's taken as 5 sigma."""
-        squares = np.minimum(np.square(self.errors_px / sigma_px), OUTLIER_COST)
+        squares = np.minimum(np.square(self.errors_px / sigma), OUTLIER_COST)
         return float(self.share @ squares) + self.prior_cost
 
 
@@ -107,7 +107,7 @@ def fit_circles(
         g[7] += prior[7] * size
         h.flat[::9] += prior
         if plane is not None:
-            h_plane, g_plane = _plane_terms(plane, center, normal)
+            h_plane, g_plane = plane_terms(plane, center, normal)
             h[:6, :6] += h_plane
             g[:6] += g_plane
         damped = h.copy()
@@ -148,7 +148,7 @@ def _conclude(
     # the nuisances are marginalised: Schur complement
     information = h[:6, :6] - h[:6, 6:] @ np.linalg.solve(h[6:, 6:], h[6:, :6])
     if plane is not None:
-        information = information + _plane_terms(plane, *pose)[0]
+        information = information + plane_terms(plane, *pose)[0]
     prior_cost = float(prior[6:] @ np.square(nuisances))
     information = 0.5 * (information + information.T)
     return CircleFit(
@@ -194,7 +194,7 @@ def _system(
     return _System(errors, jacobian)
 
 
-def _plane_terms(plane: InverseDepthPlane, center: Array, normal: Array) -> tuple[Array, Array]:
+def plane_terms(plane: InverseDepthPlane, center: Array, normal: Array) -> tuple[Array, Array]:
     """Normal equations (6, 6), (6,) of the plane's measurement of n / (n . c)."""
     error, jacobian = plane_error(plane, center, normal)
     weighted = jacobian.T @ plane.information

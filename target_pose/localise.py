@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from target_pose.align import depth_points_in_box
+from target_pose.appearance_fit import AppearanceFit
 from target_pose.box_guess import BoxGuess, box_guesses
 from target_pose.candidate import Box, Candidate
 from target_pose.circle_edges import printed_circles
-from target_pose.circles import RoughCircle, SeenFold, find_circle, fit_fold, fit_with_plane
+from target_pose.circles import PoseFit, RoughCircle, SeenFold, find_circle, fit_fold
 from target_pose.conic import CirclePose, other_fold
 from target_pose.covariance import (
     covariance_along,
@@ -30,7 +31,7 @@ from target_pose.localisation import Evidence, Localisation, Method, Refusal
 from target_pose.plane import InverseDepthPlane, fit_plane, plane_scatter
 from target_pose.roll import Roll, find_roll, hinted_roll, rolled_pose
 from target_pose.target import Target
-from target_pose.vectors import length, orthogonal_to, unit
+from target_pose.vectors import cross, length, orthogonal_to, unit
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -214,8 +215,7 @@ def _near_fold(view: _View, rough: RoughCircle, depth: _Depth | None) -> _NearFo
 
 
 def _fit_fold(view: _View, rough: RoughCircle, start: CirclePose) -> SeenFold | None:
-    circles = printed_circles(view.target)
-    return fit_fold(view.image, view.camera.color, circles, rough, start)
+    return fit_fold(view.image, view.camera.color, view.target, rough, start, view.up_camera)
 
 
 def _fused(view: _View, near: _NearFold, depth: _Depth) -> Localisation | Refusal:
@@ -225,7 +225,7 @@ def _fused(view: _View, near: _NearFold, depth: _Depth) -> Localisation | Refusa
     range_plane = _range(plane, free.pose.center)
     if not 1 / GROSS_RATIO < range_plane / range_ellipse < GROSS_RATIO:
         return Refusal.INCONSISTENT
-    fused = fit_with_plane(near.seen, view.camera.color, plane)
+    fused = near.seen.fit_with_plane(view.camera.color, plane)
     if fused is None or _strain(fused, free, plane) > GATE:
         return _by_ellipse(view, near, depth)
     return _concluded(
@@ -239,10 +239,14 @@ def _fused(view: _View, near: _NearFold, depth: _Depth) -> Localisation | Refusa
     )
 
 
-def _strain(fused: CircleFit, free: CircleFit, plane: InverseDepthPlane) -> float:
+def _strain(fused: PoseFit, free: PoseFit, plane: InverseDepthPlane) -> float:
     """Chi square by which plane and circles lose when they have to share one pose."""
-    error, _ = plane_error(plane, *fused.pose)
-    lost = fused.cost(free.sigma_px) - free.cost(free.sigma_px)
+    error, jacobian = plane_error(plane, *fused.pose)
+    turn = cross(free.pose.normal, fused.pose.normal)
+    moved = np.concatenate([fused.pose.center - free.pose.center, turn])
+    # a frontal circle's tilt costs nothing to first order, but it does where it has been turned to
+    without_plane = fused.information - jacobian.T @ plane.information @ jacobian
+    lost = max(float(moved @ free.information @ moved), float(moved @ without_plane @ moved))
     return float(error @ plane.information @ error) + lost
 
 
@@ -255,7 +259,7 @@ def _by_ellipse(
     share = 0.0
     second = _fit_fold(view, near.rough, near.other)
     if second is not None:
-        sigma = min(first.fit.sigma_px, second.fit.sigma_px)
+        sigma = min(first.fit.sigma, second.fit.sigma)
         behind = second.cost(sigma) - first.cost(sigma)
         best, alternative = first.fit, second.fit.pose
         if behind < 0:
@@ -280,14 +284,14 @@ def _by_ellipse(
 
 def _concluded(
     view: _View,
-    fit: CircleFit,
+    fit: PoseFit,
     method: Method,
     *,
     alternative: CirclePose | None,
     ranges: tuple[float, float | None],
     depth: _Depth | None,
     alternative_share: float = 0.0,
-    alone: CircleFit | None = None,
+    alone: PoseFit | None = None,
 ) -> Localisation | Refusal:
     """Add the roll, and the covariance of everything that is not sure."""
     if _tilt(fit.pose) > MAX_TILT_RAD:
@@ -319,8 +323,10 @@ def _concluded(
         ambiguous=alternative_share > 0,
         range_ellipse_m=ranges[0],
         range_plane_m=ranges[1],
-        ellipse_rms_px=fit.rms_px,
-        ellipse_points=int(np.count_nonzero(fit.inliers)),
+        ellipse_rms_px=fit.rms_px if isinstance(fit, CircleFit) else None,
+        ellipse_points=int(np.count_nonzero(fit.inliers)) if isinstance(fit, CircleFit) else 0,
+        picture_rms_levels=fit.rms_levels if isinstance(fit, AppearanceFit) else None,
+        picture_points=int(np.count_nonzero(fit.inliers)) if isinstance(fit, AppearanceFit) else 0,
         plane_inliers=0 if depth is None else depth.plane.inliers,
         plane_rms_m=None if depth is None else depth.rms_m,
         depth_contradicts=contradicts,

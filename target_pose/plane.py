@@ -17,7 +17,7 @@ Array: TypeAlias = NDArray[np.float64]
 MIN_POINTS = 30
 MIN_INLIER_SHARE = 0.4
 """Of the depth points on the board that must lie on one plane."""
-SCALE_SIGMA = 4e-3
+SCALE_SIGMA = 5e-3
 """Relative error of a stereo camera's depth scale, alike in all points of a frame."""
 TILT_SIGMA_RAD = 1e-2
 """Warp of the depth image across a target, alike in all points of a frame: 0.6 degrees. On a real

@@ -175,7 +175,7 @@ def test_the_wrong_fold_costs_more_where_the_inner_circle_is_seen():
     wrong = fit_circles(edges, CAMERA, other_fold(pose, 0.15))
     assert right is not None
     assert wrong is not None
-    assert wrong.cost(right.sigma_px) > right.cost(right.sigma_px) + 9
+    assert wrong.cost(right.sigma) > right.cost(right.sigma) + 9
 
 
 @pytest.mark.parametrize("z", [-1.0, 0.0])
