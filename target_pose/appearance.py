@@ -14,12 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.geometry import rotation_from_vector
 from target_pose.circle_edges import PrintedCircle
 from target_pose.vectors import cross, unit
 
 Array: TypeAlias = NDArray[np.float64]
+Focal: TypeAlias = tuple[float, float]
+"""Focal lengths across and down, in pixels of the raster."""
 
 SOFT_EDGE_PX = 0.6
 """Blur that edges are drawn with; the rest is added by a filter. Less would alias on the raster."""
@@ -32,8 +33,10 @@ LEAST_TONE, MOST_TONE = 0.25, 1.3
 
 CENTER, TURN = slice(0, 3), slice(3, 6)
 SIZE, MARGIN, BLUR, STRETCH_X, STRETCH_XY = range(6, 11)
-BLACK, WHITE, WALL, WALL_X, WALL_Y, SHADE_X, SHADE_Y, TONE = range(11, 19)
-PARAMETERS = 19
+BLACK, WHITE, WALL, WALL_X, WALL_Y, SHADE_X, SHADE_Y = range(11, 18)
+VEIL = slice(18, 23)
+TONE, PEDESTAL = 23, 24
+PARAMETERS = 25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,12 +61,16 @@ class Look:
     """In the middle of the patch, and its slopes to the patch's borders."""
     shade: tuple[float, float] = (0.0, 0.0)
     """Relative slopes of the light on the board."""
+    veil: tuple[float, ...] = (0.0,) * 5
+    """What a cover mirrors onto the board: x, y, xx, xy, yy from the patch's middle."""
     tone: float = SRGB_TONE
     """Exponent of the tone curve, from light to code; stands for ink and glare, too, which move
     small edges alike."""
+    pedestal: float = 0.0
+    """Code value of no light at all: contrast and brightness as the camera was set."""
 
     def moved(self, step: Array) -> Look:
-        """The look after a step (19,) in all parameters."""
+        """The look after a step (25,) in all parameters."""
         turn = rotation_from_vector(np.asarray(step[TURN]))
         normal = turn @ self.normal
         up = turn @ self.up
@@ -85,6 +92,8 @@ class Look:
             white=self.white + at[WHITE],
             wall=(self.wall[0] + at[WALL], self.wall[1] + at[WALL_X], self.wall[2] + at[WALL_Y]),
             shade=(self.shade[0] + at[SHADE_X], self.shade[1] + at[SHADE_Y]),
+            veil=tuple(v + d for v, d in zip(self.veil, at[VEIL], strict=True)),
+            pedestal=self.pedestal + at[PEDESTAL],
             tone=min(max(self.tone + at[TONE], LEAST_TONE), MOST_TONE),
         )
 
@@ -111,16 +120,14 @@ class Predicted(NamedTuple):
     """A patch as a look predicts it."""
 
     light: Array  # (N,), linear
-    derivative: Array  # (N, 19)
-    """Zero by the tone, which is between light and code."""
+    derivative: Array  # (N, 25)
+    """Zero by tone and pedestal, which are between light and code."""
     outside_px: Array  # (N,)
     """Distance from the board's rim, negative on the board."""
 
 
-def predict(
-    raster: Raster, intrinsics: CameraIntrinsics, board: Board, look: Look
-) -> Predicted | None:
-    """The patch in linear light and its derivative by all but the tone; None: not in front.
+def predict(raster: Raster, focal_px: Focal, board: Board, look: Look) -> Predicted | None:
+    """The patch in linear light, and its derivative but for the coding; None: not in front.
 
     Each printed edge is a soft step over the distance to its circle, to first order in pixels; the
     blur's derivative is half the second derivative in space (the heat equation).
@@ -129,8 +136,8 @@ def predict(
     if plane is None:
         return None
     soft_px = min(math.sqrt(look.blur_px2), SOFT_EDGE_PX)
-    printed = _print(plane, intrinsics, board, look, soft_px)
-    rim = _rim(plane, intrinsics, board, look, soft_px)
+    printed = _print(plane, focal_px, board, look, soft_px)
+    rim = _rim(plane, focal_px, board, look, soft_px)
     fields = _fields(raster, look, printed, rim)
     blurred = _blurred(fields, raster.shape, look.blur_px2 - soft_px**2)
     derivative = np.asarray(blurred[:, :PARAMETERS], dtype=np.float64)
@@ -176,7 +183,7 @@ def _on_board(rays: Array, look: Look) -> _OnBoard | None:
 
 
 def _px_per_m(
-    plane: _OnBoard, look: Look, intrinsics: CameraIntrinsics, out: tuple[Array, Array]
+    plane: _OnBoard, look: Look, focal_px: Focal, out: tuple[Array, Array]
 ) -> tuple[Array, Array]:
     """Pixels (N,) that a metre outwards takes, across an edge, and the lean (N,) of the rays."""
     oa, ob = out
@@ -185,8 +192,8 @@ def _px_per_m(
     )
     ca, cb, cn = plane.center
     lean = ((plane.a + ca) * oa + (plane.b + cb) * ob) / cn
-    x = (oa * rx + ob * ux - lean * nx) / intrinsics.fx
-    y = (oa * ry + ob * uy - lean * ny) / intrinsics.fy
+    x = (oa * rx + ob * ux - lean * nx) / focal_px[0]
+    y = (oa * ry + ob * uy - lean * ny) / focal_px[1]
     return 1 / np.maximum(plane.reach * np.sqrt(x * x + y * y), 1e-7), lean
 
 
@@ -201,12 +208,10 @@ class _Printed(NamedTuple):
     by_size: Array
 
 
-def _print(
-    plane: _OnBoard, intrinsics: CameraIntrinsics, board: Board, look: Look, soft_px: float
-) -> _Printed:
+def _print(plane: _OnBoard, focal_px: Focal, board: Board, look: Look, soft_px: float) -> _Printed:
     radius = np.maximum(np.sqrt(plane.a * plane.a + plane.b * plane.b), 1e-9)
     oa, ob = plane.a / radius, plane.b / radius
-    px_per_m, lean = _px_per_m(plane, look, intrinsics, (oa, ob))
+    px_per_m, lean = _px_per_m(plane, look, focal_px, (oa, ob))
     cn = plane.center[2]
     shade = np.full(len(radius), 1.0 if board.white else 0.0)
     weight, leaning, turning, by_size = (np.zeros(len(radius)) for _ in range(4))
@@ -242,14 +247,12 @@ class _Rim(NamedTuple):
     by_margin: Array
 
 
-def _rim(
-    plane: _OnBoard, intrinsics: CameraIntrinsics, board: Board, look: Look, soft_px: float
-) -> _Rim:
+def _rim(plane: _OnBoard, focal_px: Focal, board: Board, look: Look, soft_px: float) -> _Rim:
     a, b, cn = plane.a, plane.b, plane.center[2]
     upright = np.abs(b) > np.abs(a)
     oa = np.where(upright, 0.0, np.sign(a))
     ob = np.where(upright, np.sign(b), 0.0)
-    px_per_m, lean = _px_per_m(plane, look, intrinsics, (oa, ob))
+    px_per_m, lean = _px_per_m(plane, look, focal_px, (oa, ob))
     reach = a * oa + b * ob
     half = board.half_side_m + look.margin_m
     distance = (reach - half) * px_per_m
@@ -268,13 +271,16 @@ def _rim(
 
 
 def _fields(raster: Raster, look: Look, printed: _Printed, rim: _Rim) -> NDArray[np.float32]:
-    """Light before the blur and its derivatives (N, 20), the pose's by right, up and normal."""
+    """Light before the blur and its derivatives (N, 26), the pose's by right, up and normal."""
     shade = printed.shade
     contrast = look.white - look.black
     lit = 1 + look.shade[0] * raster.x + look.shade[1] * raster.y
     paint = look.black + contrast * shade
+    x, y = raster.x, raster.y
+    bends = (x, y, x * x, x * y, y * y)
+    veil = sum((v * bend for v, bend in zip(look.veil, bends, strict=True)), np.zeros(len(x)))
     wall = look.wall[0] + look.wall[1] * raster.x + look.wall[2] * raster.y
-    over_wall = paint * lit - wall
+    over_wall = paint * lit + veil - wall
     seen, off = rim.on * lit, 1 - rim.on
     edge = seen * contrast
     painted = rim.on * paint
@@ -292,6 +298,8 @@ def _fields(raster: Raster, look: Look, printed: _Printed, rim: _Rim) -> NDArray
         off * raster.y,
         painted * raster.x,
         painted * raster.y,
+        *(rim.on * bend for bend in bends),
+        np.zeros(len(shade)),
         np.zeros(len(shade)),
         rim.on * over_wall + wall,
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rgbd_wire.camera import CameraIntrinsics
 from target_pose import appearance
-from target_pose.appearance import SRGB_TONE, Board, Look, Predicted, Raster, predict
+from target_pose.appearance import SRGB_TONE, Board, Focal, Look, Predicted, Raster, predict
 from target_pose.conic import CirclePose
 from target_pose.fusion import SIZE_SIGMA, TILT_DAMPING, plane_terms
 from target_pose.lens import project, rays_from_pixels
@@ -28,24 +28,30 @@ MIN_SIDE_PX, MAX_SIDE_PX = 8, 64
 MIN_PIXELS = 60
 NOISE_FLOOR = 0.8
 """Least standard deviation of a pixel [grey values] believed: rounding and JPEG."""
-MODEL_ERROR = 0.025
-"""Standard deviation of the prediction, over the contrast: steps drawn to first order, and a point
-spread that is not quite Gaussian. Set so that the errors of 300 pictures follow chi square."""
+MODEL_ERROR = 0.06
+"""Standard deviation of the prediction, over the contrast: steps drawn to first order, a point
+spread that is not quite Gaussian, sharpening, scratches. Set by how rendered scenes err."""
 MARGIN_SIGMA_M = 2e-3
 """How well a board is cut."""
 STRETCH_SIGMA = 0.4
 """How far from round a blur may be, over its variance."""
 TONE_SIGMA = 0.2
 """Of the tone curve's exponent: from a picture without any, 1, to more contrast than sRGB has."""
+PEDESTAL_SIGMA = 8.0
+"""[grey values]"""
+VEIL_SIGMA = 0.05
+"""Of what a cover mirrors, over the contrast in light."""
+SATURATED = 250
+"""Grey value from which on, and as near to zero, a pixel is at the end of its scale."""
 DARKEST = 1e-4
 """Light that is coded as black."""
 SHADE_SIGMA = 0.2
-ITERATIONS = 12
-CONVERGED = 0.1
+ITERATIONS = 8
+CONVERGED = 0.3
 """Gain in squared standard deviations that ends the search."""
 MAX_TURN_RAD = 0.3
 """Of one step."""
-HALVINGS = 4
+HALVINGS = 2
 CELL_PX = 3
 CELL_BORDER_LOSS = 1.3
 """What correlation across the cells' borders adds."""
@@ -56,10 +62,12 @@ class Patch(NamedTuple):
 
     raster: Raster
     gray: Array  # (N,), as the camera coded it
-    camera: CameraIntrinsics
+    focal_px: Focal
     """Of the patch's raster, which is coarser than the picture's where the board is large."""
     bin_px: int
     """Pixels of the picture per one of the patch."""
+    chosen: NDArray[np.bool_]  # (N,)
+    """On the board and a little around it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +86,8 @@ class AppearanceFit:
     inliers: NDArray[np.bool_]  # (N,)
     prior_cost: float
     """Of the nuisances, in squared standard deviations."""
+    explained: float
+    """Share of the picture's variance on the used pixels that the prediction has, at most 1."""
 
     @property
     def pose(self) -> CirclePose:
@@ -142,9 +152,12 @@ def cut_patch(
         return None
     rays = np.column_stack([xy, np.ones(len(xy))])
     x, y = np.meshgrid(np.linspace(-1, 1, w), np.linspace(-1, 1, h))
-    camera = replace(intrinsics, fx=intrinsics.fx / bin_px, fy=intrinsics.fy / bin_px)
+    focal_px = intrinsics.fx / bin_px, intrinsics.fy / bin_px
     raster = Raster(rays, x.ravel(), y.ravel(), (h, w))
-    return Patch(raster, gray.ravel(), camera, bin_px)
+    seen = predict(raster, focal_px, board, look)
+    if seen is None:
+        return None
+    return Patch(raster, gray.ravel(), focal_px, bin_px, seen.outside_px < AROUND_PX)
 
 
 def fit_appearance(
@@ -170,16 +183,16 @@ def fit_appearance(
         The fit, or None where it leaves the half-space in front of the camera, or where there is
         no board to be seen.
     """
-    seen = predict(patch.raster, patch.camera, board, start)
+    seen = predict(patch.raster, patch.focal_px, board, start)
     if seen is None:
         return None
-    chosen = seen.outside_px < AROUND_PX
+    chosen = patch.chosen
     if np.count_nonzero(chosen) < MIN_PIXELS:
         return None
     look = start
     if not lit:
         look = _lit(patch, seen, start, chosen)
-        seen = predict(patch.raster, patch.camera, board, look)
+        seen = predict(patch.raster, patch.focal_px, board, look)
     assert seen is not None
     prior = _prior(look)
     state = _State(patch, seen, chosen, look)
@@ -211,10 +224,12 @@ def _better(
     turn = length(np.asarray(step[appearance.TURN]))
     if turn > MAX_TURN_RAD:
         step *= MAX_TURN_RAD / turn
+    if float(-(g @ step)) < CONVERGED:
+        return None
     before = _cost(state, look, prior, plane, state.sigma)
     for _ in range(HALVINGS):
         following = look.moved(step)
-        seen = predict(patch.raster, patch.camera, board, following)
+        seen = predict(patch.raster, patch.focal_px, board, following)
         if seen is not None:
             trial = _State(patch, seen, chosen, following)
             gain = before - _cost(trial, following, prior, plane, state.sigma)
@@ -229,16 +244,26 @@ def _better(
 class _State:
     """Errors of a prediction and its derivative, in grey values, of the chosen pixels."""
 
-    __slots__ = ("derivative", "errors", "sigma", "where", "shape")
+    __slots__ = ("derivative", "errors", "gray", "open", "shape", "sigma", "where")
 
     def __init__(
         self, patch: Patch, seen: Predicted, chosen: NDArray[np.bool_], look: Look
     ) -> None:
         gray, by_light, by_tone = coded(seen.light[chosen], look.tone)
-        self.errors = gray - patch.gray[chosen]
+        self.gray = patch.gray[chosen]
+        self.errors = gray + look.pedestal - self.gray
         self.derivative = seen.derivative[chosen] * by_light[:, None]
         self.derivative[:, appearance.TONE] = by_tone
-        noise = robust_sigma(self.errors, NOISE_FLOOR)
+        self.derivative[:, appearance.PEDESTAL] = 1.0
+        # how much brighter than white or darker than black it would be, a picture does not say
+        full = (self.gray >= SATURATED) & (self.errors > SATURATED - 255)
+        empty = (self.gray <= 255 - SATURATED) & (self.errors < 255 - SATURATED)
+        clipped = full | empty
+        self.errors[clipped] = 0.0
+        self.derivative[clipped] = 0.0
+        self.open = ~clipped
+        measured = self.errors[self.open]
+        noise = robust_sigma(measured, NOISE_FLOOR) if len(measured) else NOISE_FLOOR
         self.sigma = math.hypot(noise, MODEL_ERROR * contrast_of(look))
         self.where = np.flatnonzero(chosen)
         self.shape = patch.raster.shape
@@ -256,13 +281,15 @@ def _lit(patch: Patch, seen: Predicted, look: Look, chosen: NDArray[np.bool_]) -
 
 
 def _prior(look: Look) -> Array:
-    """Inverse variances (19,) of the nuisances about zero; none of what has no prior."""
+    """Inverse variances (25,) of the nuisances about zero; none of what has no prior."""
     prior = np.zeros(appearance.PARAMETERS)
     prior[appearance.SIZE] = SIZE_SIGMA**-2
     prior[appearance.MARGIN] = MARGIN_SIGMA_M**-2
     stretch = (STRETCH_SIGMA * look.blur_px2) ** -2
     prior[appearance.STRETCH_X] = prior[appearance.STRETCH_XY] = stretch
     contrast = max(abs(look.white - look.black), 0.01)
+    prior[appearance.VEIL] = (VEIL_SIGMA * contrast) ** -2
+    prior[appearance.PEDESTAL] = PEDESTAL_SIGMA**-2
     prior[appearance.WALL_X] = prior[appearance.WALL_Y] = (0.5 * contrast) ** -2
     prior[appearance.SHADE_X] = prior[appearance.SHADE_Y] = SHADE_SIGMA**-2
     prior[appearance.TONE] = TONE_SIGMA**-2
@@ -270,14 +297,15 @@ def _prior(look: Look) -> Array:
 
 
 def _nuisances(look: Look) -> Array:
-    """Values (19,) of what has a prior."""
+    """Values (25,) of what has a prior."""
     at = np.zeros(appearance.PARAMETERS)
     at[appearance.SIZE] = look.size
     at[appearance.MARGIN] = look.margin_m
     at[appearance.STRETCH_X], at[appearance.STRETCH_XY] = look.stretch_px2
     at[appearance.WALL_X], at[appearance.WALL_Y] = look.wall[1:]
     at[appearance.SHADE_X], at[appearance.SHADE_Y] = look.shade
-    at[appearance.TONE] = look.tone - SRGB_TONE
+    at[appearance.VEIL] = look.veil
+    at[appearance.TONE], at[appearance.PEDESTAL] = look.tone - SRGB_TONE, look.pedestal
     return at
 
 
@@ -334,7 +362,15 @@ def _conclude(
         information = information + plane_terms(plane, look.center, look.normal)[0]
     prior_cost = float(prior @ np.square(_nuisances(look)))
     information = 0.5 * (information + information.T)
-    return AppearanceFit(look, information, state.errors, state.sigma, sigma, inliers, prior_cost)
+    explained = _explained(state, inliers)
+    return AppearanceFit(
+        look, information, state.errors, state.sigma, sigma, inliers, prior_cost, explained
+    )
+
+
+def _explained(state: _State, used: NDArray[np.bool_]) -> float:
+    spread = float(np.var(state.gray[used]))
+    return 1 - float(np.square(state.errors[used]).mean()) / max(spread, 1e-9)
 
 
 def _without_roll(h: Array, look: Look) -> Array:
@@ -358,9 +394,9 @@ def _alike(state: _State, weights: Array) -> float:
 
 def coded(light: Array, tone: float) -> tuple[Array, Array, Array]:
     """Grey values (N,) of light (N,), and their derivatives by light and tone."""
-    x = np.clip(light, DARKEST, 1.0)
+    x = np.maximum(light, DARKEST)
     power = 255 * x**tone
-    inside = (light > DARKEST) & (light < 1)
+    inside = light > DARKEST
     return power, np.where(inside, power * tone / x, 0.0), power * np.log(x)
 
 

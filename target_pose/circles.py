@@ -47,8 +47,8 @@ SMALL_PX = 48.0
 """Width of the outer disc under which all pixels are fitted at once, and not the edges."""
 MIN_PIXEL_SHARE = 0.7
 """Of the pixels on the board that must look as they should; the rest may be covered."""
-MAX_NOISE_SHARE = 0.12
-"""Deviation of the picture from what the pose predicts, over the contrast of the print."""
+MIN_EXPLAINED = 0.6
+"""Share of the picture's variance on the board that the pose has to explain; the rest is noise."""
 MIN_CONTRAST = 6.0
 """Of the print, in grey values."""
 
@@ -123,6 +123,21 @@ def find_circle(
         blur = outline.blur_px if math.isfinite(outline.blur_px) else 1.0
         step_px = min(max(STEP_PER_BLUR * blur, MIN_STEP_PX), MAX_STEP_PX)
         return RoughCircle(folds, step_px, blur)
+    return _guessed(intrinsics, outer, guesses)
+
+
+def _guessed(
+    intrinsics: CameraIntrinsics, outer: PrintedCircle, guesses: list[BoxGuess]
+) -> RoughCircle | None:
+    """The disc as a whole box has it: upright and as wide, where its outline is lost in grain."""
+    for guess in guesses:
+        if guess.cut:
+            continue
+        angle = np.arange(16) * (2 * math.pi / 16)
+        rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) * guess.disc.semi_axes_px
+        folds = _poses(rays_from_pixels(guess.disc.center_px + rim, intrinsics), outer.radius_m)
+        if folds is not None:
+            return RoughCircle(folds, STEP_PER_BLUR, 1.0)
     return None
 
 
@@ -133,6 +148,7 @@ def fit_fold(
     rough: RoughCircle,
     fold: CirclePose,
     up_camera: Array | None = None,
+    like: SeenFold | None = None,
 ) -> SeenFold | None:
     """Fit the pose near one of the rough folds to what is seen there.
 
@@ -145,13 +161,28 @@ def fit_fold(
     """
     circles = printed_circles(target)
     px_per_m = _px_per_m(intrinsics, rough.folds[0])
-    if 2 * circles[0].radius_m * px_per_m < SMALL_PX:
-        return _fit_board(image, intrinsics, target, rough, fold, up_camera)
+    patch = like.patch if isinstance(like, SeenBoard) else None
+    if patch is not None or 2 * circles[0].radius_m * px_per_m < SMALL_PX:
+        return _fit_board(image, intrinsics, target, rough, fold, up_camera, patch)
     worth = circles_worth_measuring(circles, px_per_m)
-    edges = measure_edges(image, intrinsics, fold, worth, rough.step_px)
+    edges = _fit_edges(image, intrinsics, worth, rough, fold)
+    # grain hides edges that all pixels together still show
+    if edges is not None or isinstance(like, SeenEdges):
+        return edges
+    return _fit_board(image, intrinsics, target, rough, fold, up_camera)
+
+
+def _fit_edges(
+    image: NDArray[np.uint8],
+    intrinsics: CameraIntrinsics,
+    circles: tuple[PrintedCircle, ...],
+    rough: RoughCircle,
+    fold: CirclePose,
+) -> SeenEdges | None:
+    edges = measure_edges(image, intrinsics, fold, circles, rough.step_px)
     if edges is None or len(edges.xy) < MIN_POINTS:
         return None
-    radius_px = circles[0].radius_m * px_per_m
+    radius_px = circles[0].radius_m * _px_per_m(intrinsics, rough.folds[0])
     fit = fit_circles(edges, intrinsics, fold)
     return SeenEdges(edges, fit, radius_px) if fit is not None and _round(fit, radius_px) else None
 
@@ -163,6 +194,7 @@ def _fit_board(
     rough: RoughCircle,
     fold: CirclePose,
     up_camera: Array | None,
+    patch: Patch | None = None,
 ) -> SeenBoard | None:
     board = Board(
         target.board_side_m / 2, printed_circles(target), target.board_shade is Shade.WHITE
@@ -170,7 +202,7 @@ def _fit_board(
     up = find_roll(image, intrinsics, fold, target, up_camera).up
     blur_px = max(rough.blur_px, 2 * LEAST_BLUR_PX)
     start = Look(fold.center, fold.normal, up, blur_px2=blur_px**2)
-    patch = cut_patch(image, intrinsics, board, start)
+    patch = patch or cut_patch(image, intrinsics, board, start)
     if patch is None:
         return None
     blur_px2 = max(start.blur_px2 / patch.bin_px**2, LEAST_BLUR_PX**2)
@@ -197,5 +229,4 @@ def _round(fit: CircleFit, radius_px: float) -> bool:
 def _looks_right(fit: AppearanceFit) -> bool:
     """The pixels show the print, in black on white."""
     many = np.count_nonzero(fit.inliers) >= MIN_PIXEL_SHARE * len(fit.inliers)
-    contrast = fit.contrast
-    return bool(many) and contrast >= max(MIN_CONTRAST, fit.noise / MAX_NOISE_SHARE)
+    return bool(many) and fit.contrast >= MIN_CONTRAST and fit.explained >= MIN_EXPLAINED

@@ -50,6 +50,8 @@ GROSS_BOX_RATIO = 1.7
 """The same for the range after a box's size: a board rolled by 45 degrees has a box 1.41 wider."""
 SURE_FOLD = 9.0
 """By how much chi square must tell the folds apart."""
+PLANE_DECIDES = 25.0
+"""By how much the plane alone must tell them apart, so that the other one need not be looked at."""
 SAME_FOLD_RAD = math.radians(3.0)
 BOX_SIZE_SHARE = 0.03
 """Standard deviation of a box's sides and centre over its size: a detector's regression."""
@@ -214,29 +216,81 @@ def _near_fold(view: _View, rough: RoughCircle, depth: _Depth | None) -> _NearFo
     return None
 
 
-def _fit_fold(view: _View, rough: RoughCircle, start: CirclePose) -> SeenFold | None:
-    return fit_fold(view.image, view.camera.color, view.target, rough, start, view.up_camera)
+def _fit_fold(
+    view: _View, rough: RoughCircle, start: CirclePose, like: SeenFold | None = None
+) -> SeenFold | None:
+    camera = view.camera.color
+    return fit_fold(view.image, camera, view.target, rough, start, view.up_camera, like)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Joint:
+    """One fold's circles with the plane."""
+
+    seen: SeenFold
+    fused: PoseFit
+    strain: float
+    """Chi square by which plane and circles lose when they have to share one pose."""
+
+
+def _joined(view: _View, seen: SeenFold | None, plane: InverseDepthPlane) -> _Joint | None:
+    fused = None if seen is None else seen.fit_with_plane(view.camera.color, plane)
+    if seen is None or fused is None:
+        return None
+    return _Joint(seen, fused, _strain(fused, seen.fit, plane))
 
 
 def _fused(view: _View, near: _NearFold, depth: _Depth) -> Localisation | Refusal:
-    """Circles and plane together, if they agree; else the circles, or a refusal."""
+    """Circles and plane together, if they agree; else the circles, or a refusal.
+
+    The plane's normal picks the fold where it is sure; where it is not, so do both together.
+    """
     plane, free = depth.plane, near.seen.fit
     range_ellipse = length(free.pose.center)
     range_plane = _range(plane, free.pose.center)
     if not 1 / GROSS_RATIO < range_plane / range_ellipse < GROSS_RATIO:
         return Refusal.INCONSISTENT
-    fused = near.seen.fit_with_plane(view.camera.color, plane)
-    if fused is None or _strain(fused, free, plane) > GATE:
+    best = _joined(view, near.seen, plane)
+    alternative = other_fold(free.pose, view.target.discs[0].diameter_m / 2)
+    share = 0.0
+    behind = _plane_cost(plane, alternative) - _plane_cost(plane, free.pose)
+    apart = _angle(free.pose.normal, alternative.normal) > SAME_FOLD_RAD
+    if apart and behind < PLANE_DECIDES:
+        rival = _joined(view, _fit_fold(view, near.rough, near.other, near.seen), plane)
+        best, other, share = _likelier(best, rival)
+        if other is not None:
+            alternative = other.fused.pose
+    if best is None or best.strain > GATE:
         return _by_ellipse(view, near, depth)
     return _concluded(
         view,
-        fused,
+        best.fused,
         Method.FUSED,
-        alternative=other_fold(fused.pose, view.target.discs[0].diameter_m / 2),
-        ranges=(range_ellipse, range_plane),
+        alternative=alternative,
+        alternative_share=share,
+        ranges=(length(best.seen.fit.pose.center), range_plane),
         depth=depth,
-        alone=free,
+        alone=best.seen.fit,
     )
+
+
+def _likelier(one: _Joint | None, two: _Joint | None) -> tuple[_Joint | None, _Joint | None, float]:
+    """The fold that picture and plane together prefer, the other, and that one's probability."""
+    if one is None or two is None:
+        return one or two, None, 0.0
+    sigma = min(one.seen.fit.sigma, two.seen.fit.sigma)
+    behind = (two.seen.cost(sigma) + two.strain) - (one.seen.cost(sigma) + one.strain)
+    if behind < 0:
+        one, two, behind = two, one, -behind
+    apart = _angle(one.fused.pose.normal, two.fused.pose.normal) > SAME_FOLD_RAD
+    unsure = apart and behind < SURE_FOLD
+    return one, two, 1 / (1 + math.exp(behind / 2)) if unsure else 0.0
+
+
+def _plane_cost(plane: InverseDepthPlane, board: CirclePose) -> float:
+    """Squared standard deviations by which a pose misses the plane."""
+    error, _ = plane_error(plane, *board)
+    return float(error @ plane.information @ error)
 
 
 def _strain(fused: PoseFit, free: PoseFit, plane: InverseDepthPlane) -> float:
@@ -257,7 +311,7 @@ def _by_ellipse(
     first = near.seen
     best, alternative = first.fit, near.other
     share = 0.0
-    second = _fit_fold(view, near.rough, near.other)
+    second = _fit_fold(view, near.rough, near.other, near.seen)
     if second is not None:
         sigma = min(first.fit.sigma, second.fit.sigma)
         behind = second.cost(sigma) - first.cost(sigma)
