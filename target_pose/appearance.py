@@ -124,6 +124,8 @@ class Predicted(NamedTuple):
     """Zero by tone and pedestal, which are between light and code."""
     outside_px: Array  # (N,)
     """Distance from the board's rim, negative on the board."""
+    radius_m: Array  # (N,)
+    """Distance from the board's centre."""
 
 
 def predict(raster: Raster, focal_px: Focal, board: Board, look: Look) -> Predicted | None:
@@ -152,7 +154,7 @@ def predict(raster: Raster, focal_px: Focal, board: Board, look: Look) -> Predic
     derivative[:, STRETCH_XY] = xy
     a, b = look.stretch_px2
     light = light + a * derivative[:, STRETCH_X] + b * derivative[:, STRETCH_XY]
-    return Predicted(light, derivative, rim.distance_px)
+    return Predicted(light, derivative, rim.distance_px, np.hypot(plane.a, plane.b))
 
 
 class _OnBoard(NamedTuple):

@@ -51,7 +51,9 @@ CONVERGED = 0.3
 """Gain in squared standard deviations that ends the search."""
 MAX_TURN_RAD = 0.3
 """Of one step."""
-HALVINGS = 2
+HALVINGS = 4
+INSIDE = 1.25
+"""Radius, in those of the second circle, within which the inner circles are looked at."""
 CELL_PX = 3
 CELL_BORDER_LOSS = 1.3
 """What correlation across the cells' borders adds."""
@@ -88,6 +90,8 @@ class AppearanceFit:
     """Of the nuisances, in squared standard deviations."""
     explained: float
     """Share of the picture's variance on the used pixels that the prediction has, at most 1."""
+    explained_inside: float
+    """The same of all pixels about the inner circles, which tell the target from other rings."""
 
     @property
     def pose(self) -> CirclePose:
@@ -203,7 +207,7 @@ def fit_appearance(
         state, look, gain = following
         if gain < CONVERGED:
             break
-    return _conclude(state, look, prior, plane)
+    return _conclude(state, look, prior, plane, board)
 
 
 def _better(
@@ -244,7 +248,7 @@ def _better(
 class _State:
     """Errors of a prediction and its derivative, in grey values, of the chosen pixels."""
 
-    __slots__ = ("derivative", "errors", "gray", "open", "shape", "sigma", "where")
+    __slots__ = ("derivative", "errors", "gray", "open", "radius_m", "shape", "sigma", "where")
 
     def __init__(
         self, patch: Patch, seen: Predicted, chosen: NDArray[np.bool_], look: Look
@@ -266,6 +270,7 @@ class _State:
         noise = robust_sigma(measured, NOISE_FLOOR) if len(measured) else NOISE_FLOOR
         self.sigma = math.hypot(noise, MODEL_ERROR * contrast_of(look))
         self.where = np.flatnonzero(chosen)
+        self.radius_m = seen.radius_m[chosen]
         self.shape = patch.raster.shape
 
 
@@ -342,7 +347,7 @@ def _normal_equations(
 
 
 def _conclude(
-    state: _State, look: Look, prior: Array, plane: InverseDepthPlane | None
+    state: _State, look: Look, prior: Array, plane: InverseDepthPlane | None, board: Board
 ) -> AppearanceFit | None:
     biweights = tukey_weights(state.errors, state.sigma)
     inliers = biweights > 0
@@ -362,13 +367,24 @@ def _conclude(
         information = information + plane_terms(plane, look.center, look.normal)[0]
     prior_cost = float(prior @ np.square(_nuisances(look)))
     information = 0.5 * (information + information.T)
-    explained = _explained(state, inliers)
+    inner = board.circles[min(1, len(board.circles) - 1)]
+    inside = state.radius_m < INSIDE * inner.radius_m
     return AppearanceFit(
-        look, information, state.errors, state.sigma, sigma, inliers, prior_cost, explained
+        look,
+        information,
+        state.errors,
+        state.sigma,
+        sigma,
+        inliers,
+        prior_cost,
+        _explained(state, inliers),
+        _explained(state, inside),
     )
 
 
 def _explained(state: _State, used: NDArray[np.bool_]) -> float:
+    if not used.any():
+        return 0.0
     spread = float(np.var(state.gray[used]))
     return 1 - float(np.square(state.errors[used]).mean()) / max(spread, 1e-9)
 

@@ -49,6 +49,8 @@ MIN_PIXEL_SHARE = 0.7
 """Of the pixels on the board that must look as they should; the rest may be covered."""
 MIN_EXPLAINED = 0.6
 """Share of the picture's variance on the board that the pose has to explain; the rest is noise."""
+MAX_PRIOR_COST = 25.0
+"""Chi square of light, cut and tone past which they only make up for a wrong pose."""
 MIN_CONTRAST = 6.0
 """Of the print, in grey values."""
 
@@ -61,6 +63,8 @@ class RoughCircle(NamedTuple):
     """Profile step that fits the picture's blur."""
     blur_px: float
     """Standard deviation of the blur, as far as the search shows it."""
+    outlined: bool = True
+    """The outline was seen; else a box alone says where it is."""
 
 
 class SeenEdges(NamedTuple):
@@ -137,7 +141,7 @@ def _guessed(
         rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) * guess.disc.semi_axes_px
         folds = _poses(rays_from_pixels(guess.disc.center_px + rim, intrinsics), outer.radius_m)
         if folds is not None:
-            return RoughCircle(folds, STEP_PER_BLUR, 1.0)
+            return RoughCircle(folds, STEP_PER_BLUR, 1.0, outlined=False)
     return None
 
 
@@ -165,10 +169,10 @@ def fit_fold(
     if patch is not None or 2 * circles[0].radius_m * px_per_m < SMALL_PX:
         return _fit_board(image, intrinsics, target, rough, fold, up_camera, patch)
     worth = circles_worth_measuring(circles, px_per_m)
-    edges = _fit_edges(image, intrinsics, worth, rough, fold)
-    # grain hides edges that all pixels together still show
+    edges = _fit_edges(image, intrinsics, worth, rough, fold) if rough.outlined else None
     if edges is not None or isinstance(like, SeenEdges):
         return edges
+    # grain hides edges that all pixels together still show
     return _fit_board(image, intrinsics, target, rough, fold, up_camera)
 
 
@@ -229,4 +233,5 @@ def _round(fit: CircleFit, radius_px: float) -> bool:
 def _looks_right(fit: AppearanceFit) -> bool:
     """The pixels show the print, in black on white."""
     many = np.count_nonzero(fit.inliers) >= MIN_PIXEL_SHARE * len(fit.inliers)
-    return bool(many) and fit.contrast >= MIN_CONTRAST and fit.explained >= MIN_EXPLAINED
+    shown = fit.contrast >= MIN_CONTRAST and fit.prior_cost <= MAX_PRIOR_COST
+    return bool(many) and shown and min(fit.explained, fit.explained_inside) >= MIN_EXPLAINED

@@ -261,7 +261,8 @@ def _fused(view: _View, near: _NearFold, depth: _Depth) -> Localisation | Refusa
         if other is not None:
             alternative = other.fused.pose
     if best is None or best.strain > GATE:
-        return _by_ellipse(view, near, depth)
+        # circles that were never seen as an outline do not stand against the depth
+        return _by_ellipse(view, near, depth) if near.rough.outlined else _by_depth(view, depth)
     return _concluded(
         view,
         best.fused,
