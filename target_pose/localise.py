@@ -48,8 +48,10 @@ GROSS_RATIO = 1.15
 """Ratio of the two ranges past which one of them must be a blunder."""
 GROSS_BOX_RATIO = 1.7
 """The same for the range after a box's size: a board rolled by 45 degrees has a box 1.41 wider."""
-SURE_FOLD = 9.0
-"""By how much chi square must tell the folds apart."""
+SURE_FOLD = 16.0
+"""By how much chi square must tell the folds apart: a model's errors are not only noise."""
+LEAST_DOUBT = 9.0
+"""Chi square that the covariance believes at most, where the folds are not told apart."""
 PLANE_DECIDES = 25.0
 """By how much the plane alone must tell them apart, so that the other one need not be looked at."""
 SAME_FOLD_RAD = math.radians(3.0)
@@ -283,15 +285,28 @@ def _likelier(one: _Joint | None, two: _Joint | None) -> tuple[_Joint | None, _J
     behind = (two.seen.cost(sigma) + two.strain) - (one.seen.cost(sigma) + one.strain)
     if behind < 0:
         one, two, behind = two, one, -behind
-    apart = _angle(one.fused.pose.normal, two.fused.pose.normal) > SAME_FOLD_RAD
-    unsure = apart and behind < SURE_FOLD
-    return one, two, 1 / (1 + math.exp(behind / 2)) if unsure else 0.0
+    return one, two, _doubt(behind, one.fused.pose, two.fused.pose)
+
+
+def _doubt(behind: float, best: CirclePose, other: CirclePose) -> float:
+    """Probability of the other fold, by chi square; 0 where they are the same or told apart."""
+    if _angle(best.normal, other.normal) <= SAME_FOLD_RAD or behind >= SURE_FOLD:
+        return 0.0
+    return 1 / (1 + math.exp(min(behind, LEAST_DOUBT) / 2))
 
 
 def _plane_cost(plane: InverseDepthPlane, board: CirclePose) -> float:
     """Squared standard deviations by which a pose misses the plane."""
     error, _ = plane_error(plane, *board)
     return float(error @ plane.information @ error)
+
+
+def _leaning_cost(plane: InverseDepthPlane, board: CirclePose) -> float:
+    """The same of its normal alone: the board is taken to the plane's range first."""
+    z = plane.depth_along(board.center / board.center[2])
+    if not math.isfinite(z):
+        return math.inf
+    return _plane_cost(plane, CirclePose(board.center * (z / board.center[2]), board.normal))
 
 
 def _strain(fused: PoseFit, free: PoseFit, plane: InverseDepthPlane) -> float:
@@ -316,12 +331,14 @@ def _by_ellipse(
     if second is not None:
         sigma = min(first.fit.sigma, second.fit.sigma)
         behind = second.cost(sigma) - first.cost(sigma)
+        if contradicting is not None:
+            # a plane at another range still knows which way the board leans
+            plane = contradicting.plane
+            behind += _leaning_cost(plane, second.fit.pose) - _leaning_cost(plane, first.fit.pose)
         best, alternative = first.fit, second.fit.pose
         if behind < 0:
             best, alternative = second.fit, first.fit.pose
-        apart = _angle(best.pose.normal, alternative.normal) > SAME_FOLD_RAD
-        if apart and abs(behind) < SURE_FOLD:
-            share = 1 / (1 + math.exp(abs(behind) / 2))
+        share = _doubt(abs(behind), best.pose, alternative)
     range_ellipse = length(best.pose.center)
     range_plane = None
     if contradicting is not None:
