@@ -205,13 +205,19 @@ class _NearFold:
 
 
 def _near_fold(view: _View, rough: RoughCircle, depth: _Depth | None) -> _NearFold | None:
-    """The fold nearer to the plane's normal, or the other one where that is not what is seen."""
+    """The fold nearer to the plane's normal; the other where that is not seen and may be wrong."""
     one, two = rough.folds
     if depth is not None:
         normal = depth.plane.normal
         if two.normal @ normal > one.normal @ normal:
             one, two = two, one
-    for start, other in ((one, two), (two, one)):
+    ways = [(one, two), (two, one)]
+    if depth is not None:
+        behind = _leaning_cost(depth.plane, two) - _leaning_cost(depth.plane, one)
+        if behind > PLANE_DECIDES:
+            # what is not seen in the fold that it must be is not there in the other
+            ways.pop()
+    for start, other in ways:
         seen = _fit_fold(view, rough, start)
         if seen is not None:
             return _NearFold(seen, rough, other)
