@@ -72,6 +72,19 @@ def depth_points_in_box(
     return DepthPoints(points[kept], uv[kept])
 
 
+def depth_points_in_ellipse(
+    depth_units: NDArray[np.uint16],
+    camera: RgbdCamera,
+    center_px: tuple[float, float],
+    semi_axes_px: tuple[float, float],
+) -> Array:
+    """Depth points (N, 3), colour camera frame, in an upright ellipse of the colour picture."""
+    (u, v), (a, b) = center_px, semi_axes_px
+    found = depth_points_in_box(depth_units, camera, Box(u - a, v - b, u + a, v + b, 0.0))
+    inside = np.square((found.uv_px - (u, v)) / (a, b)).sum(axis=1) < 1
+    return np.asarray(found.points[inside])
+
+
 def _near_rays(points: Array, rays: Array, camera: RgbdCamera) -> Array:
     """The points (M, 3) of (N, 3) that lie about within the rays (25, 2) of a box.
 

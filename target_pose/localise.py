@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
-from target_pose.align import depth_points_in_box
+from target_pose.align import depth_points_in_box, depth_points_in_ellipse
 from target_pose.appearance_fit import AppearanceFit
-from target_pose.box_guess import BoxGuess, box_guesses
+from target_pose.box_guess import BoxGuess
 from target_pose.candidate import Box, Candidate
 from target_pose.circle_edges import printed_circles
 from target_pose.circles import PoseFit, RoughCircle, SeenFold, find_circle, fit_fold
@@ -26,17 +26,16 @@ from target_pose.covariance import (
     widened,
 )
 from target_pose.fusion import CircleFit, plane_error
+from target_pose.given import fits_camera, usable_guesses, usable_up
 from target_pose.lens import project, rays_from_pixels
 from target_pose.localisation import Evidence, Localisation, Method, Refusal
-from target_pose.plane import InverseDepthPlane, fit_plane, plane_scatter
+from target_pose.plane import BoardPlane, InverseDepthPlane, board_plane
 from target_pose.roll import Roll, find_roll, hinted_roll, rolled_pose
 from target_pose.target import Target
-from target_pose.vectors import cross, length, orthogonal_to, unit
+from target_pose.vectors import angle, cross, length, orthogonal_to, unit
 
 Array: TypeAlias = NDArray[np.float64]
 
-MIN_DISC_PX = 8.0
-"""Least width of the outer disc."""
 MAX_TILT_RAD = math.radians(72.0)
 """Past it the ellipse's minor axis, and with it tilt and range, are lost in the blur."""
 BOARD_SHARE = 0.9
@@ -70,14 +69,6 @@ class _View:
     target: Target
     guesses: list[BoxGuess]
     up_camera: Array | None  # (3,)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Depth:
-    """The board's plane in the depth."""
-
-    plane: InverseDepthPlane
-    rms_m: float
 
 
 def localise(
@@ -124,62 +115,35 @@ def _checked(
     target: Target,
     up_camera: Array | None,
 ) -> _View | Refusal:
-    color, raw = camera.color, camera.depth
-    if color_rgb.shape != (color.height, color.width, 3) or color_rgb.dtype != np.uint8:
+    if not fits_camera(color_rgb, depth_units, camera, up_camera):
         return Refusal.BAD_INPUT
-    if depth_units is not None and (
-        depth_units.shape != (raw.height, raw.width) or depth_units.dtype != np.uint16
-    ):
-        return Refusal.BAD_INPUT
-    up = None
-    if up_camera is not None:
-        up = np.asarray(up_camera, dtype=np.float64)
-        if up.shape != (3,):
-            return Refusal.BAD_INPUT
-        with np.errstate(over="ignore"):
-            usable = 1e-6 < length(up) < 1e6  # false for NaN, too
-        up = up if usable else None
     if not target.discs:
         return Refusal.NO_EVIDENCE
-    guesses = box_guesses(candidate, target, color)
-    if not guesses:
-        return Refusal.BAD_BOX
-    if max(guess.width_px for guess in guesses) < MIN_DISC_PX:
-        return Refusal.TOO_SMALL
-    centers = np.array([guess.disc.center_px for guess in guesses])
-    if not np.isfinite(rays_from_pixels(centers, color)).all():
-        return Refusal.BAD_INTRINSICS
+    guesses = usable_guesses(candidate, target, camera.color)
+    if isinstance(guesses, Refusal):
+        return guesses
     image = np.asarray(cv2.cvtColor(color_rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
-    return _View(image, camera, target, guesses, up)
+    return _View(image, camera, target, guesses, usable_up(up_camera))
 
 
 def _board_plane(
     depth_units: NDArray[np.uint16], view: _View, board: CirclePose | None
-) -> _Depth | None:
+) -> BoardPlane | None:
     """The plane of the depth on the board, or within the first guess where no board is known."""
-    if board is not None:
-        box = _board_box(view, board)
-    else:
-        (u, v), (a, b) = view.guesses[0].disc.center_px, view.guesses[0].disc.semi_axes_px
-        box = Box(u - a, v - b, u + a, v + b, 0.0)
+    if board is None:
+        disc = view.guesses[0].disc
+        return board_plane(depth_points_in_ellipse(depth_units, view.camera, *disc))
+    box = _board_box(view, board)
     if box is None:
         return None
-    found = depth_points_in_box(depth_units, view.camera, box)
-    points = found.points
+    points = depth_points_in_box(depth_units, view.camera, box).points
     if not len(points):
         return None
-    if board is None:
-        inside = np.square((found.uv_px - (u, v)) / (a, b)).sum(axis=1) < 1
-    else:
-        # by the ray and not by the point, whose depth is what is to be judged
-        rays = points / points[:, 2:]
-        facing = rays @ board.normal
-        stretch = float(board.normal @ board.center) / np.minimum(facing, -1e-6)
-        off = np.linalg.norm(rays * stretch[:, None] - board.center, axis=1)
-        inside = off < BOARD_SHARE * view.target.board_side_m / 2
-    points = points[inside]
-    plane = fit_plane(points)
-    return None if plane is None else _Depth(plane, plane_scatter(plane, points))
+    # by the ray and not by the point, whose depth is what is to be judged
+    rays = points / points[:, 2:]
+    stretch = float(board.normal @ board.center) / np.minimum(rays @ board.normal, -1e-6)
+    off = np.linalg.norm(rays * stretch[:, None] - board.center, axis=1)
+    return board_plane(points[off < BOARD_SHARE * view.target.board_side_m / 2])
 
 
 def _board_box(view: _View, board: CirclePose) -> Box | None:
@@ -204,7 +168,7 @@ class _NearFold:
     """Start of the other fold."""
 
 
-def _near_fold(view: _View, rough: RoughCircle, depth: _Depth | None) -> _NearFold | None:
+def _near_fold(view: _View, rough: RoughCircle, depth: BoardPlane | None) -> _NearFold | None:
     """The fold nearer to the plane's normal; the other where that is not seen and may be wrong."""
     one, two = rough.folds
     if depth is not None:
@@ -248,21 +212,21 @@ def _joined(view: _View, seen: SeenFold | None, plane: InverseDepthPlane) -> _Jo
     return _Joint(seen, fused, _strain(fused, seen.fit, plane))
 
 
-def _fused(view: _View, near: _NearFold, depth: _Depth) -> Localisation | Refusal:
+def _fused(view: _View, near: _NearFold, depth: BoardPlane) -> Localisation | Refusal:
     """Circles and plane together, if they agree; else the circles, or a refusal.
 
     The plane's normal picks the fold where it is sure; where it is not, so do both together.
     """
     plane, free = depth.plane, near.seen.fit
     range_ellipse = length(free.pose.center)
-    range_plane = _range(plane, free.pose.center)
+    range_plane = plane.range_along(free.pose.center)
     if not 1 / GROSS_RATIO < range_plane / range_ellipse < GROSS_RATIO:
         return Refusal.INCONSISTENT
     best = _joined(view, near.seen, plane)
     alternative = other_fold(free.pose, view.target.discs[0].diameter_m / 2)
     share = 0.0
     behind = _plane_cost(plane, alternative) - _plane_cost(plane, free.pose)
-    apart = _angle(free.pose.normal, alternative.normal) > SAME_FOLD_RAD
+    apart = angle(free.pose.normal, alternative.normal) > SAME_FOLD_RAD
     if apart and behind < PLANE_DECIDES:
         rival = _joined(view, _fit_fold(view, near.rough, near.other, near.seen), plane)
         best, other, share = _likelier(best, rival)
@@ -291,12 +255,12 @@ def _likelier(one: _Joint | None, two: _Joint | None) -> tuple[_Joint | None, _J
     behind = (two.seen.cost(sigma) + two.strain) - (one.seen.cost(sigma) + one.strain)
     if behind < 0:
         one, two, behind = two, one, -behind
-    return one, two, _doubt(behind, one.fused.pose, two.fused.pose)
+    return one, two, doubt(behind, one.fused.pose.normal, two.fused.pose.normal)
 
 
-def _doubt(behind: float, best: CirclePose, other: CirclePose) -> float:
+def doubt(behind: float, best_normal: Array, other_normal: Array) -> float:
     """Probability of the other fold, by chi square; 0 where they are the same or told apart."""
-    if _angle(best.normal, other.normal) <= SAME_FOLD_RAD or behind >= SURE_FOLD:
+    if angle(best_normal, other_normal) <= SAME_FOLD_RAD or behind >= SURE_FOLD:
         return 0.0
     return 1 / (1 + math.exp(min(behind, LEAST_DOUBT) / 2))
 
@@ -327,7 +291,7 @@ def _strain(fused: PoseFit, free: PoseFit, plane: InverseDepthPlane) -> float:
 
 
 def _by_ellipse(
-    view: _View, near: _NearFold, contradicting: _Depth | None = None
+    view: _View, near: _NearFold, contradicting: BoardPlane | None = None
 ) -> Localisation | Refusal:
     """The circles alone. Which fold it is, the inner circles tell where they are large enough."""
     first = near.seen
@@ -344,11 +308,11 @@ def _by_ellipse(
         best, alternative = first.fit, second.fit.pose
         if behind < 0:
             best, alternative = second.fit, first.fit.pose
-        share = _doubt(abs(behind), best.pose, alternative)
+        share = doubt(abs(behind), best.pose.normal, alternative.normal)
     range_ellipse = length(best.pose.center)
     range_plane = None
     if contradicting is not None:
-        range_plane = _range(contradicting.plane, best.pose.center)
+        range_plane = contradicting.plane.range_along(best.pose.center)
     return _concluded(
         view,
         best,
@@ -367,7 +331,7 @@ def _concluded(
     *,
     alternative: CirclePose | None,
     ranges: tuple[float, float | None],
-    depth: _Depth | None,
+    depth: BoardPlane | None,
     alternative_share: float = 0.0,
     alone: PoseFit | None = None,
 ) -> Localisation | Refusal:
@@ -392,6 +356,7 @@ def _concluded(
         offset = np.zeros(6)
         offset[:3] = fit.pose.center * (ranges[1] / ranges[0] - 1)
         covariance = widened(covariance, offset)
+    used = int(np.count_nonzero(fit.inliers))
     return Localisation(
         camera_from_target=pose,
         covariance=floored(covariance),
@@ -402,9 +367,9 @@ def _concluded(
         range_ellipse_m=ranges[0],
         range_plane_m=ranges[1],
         ellipse_rms_px=fit.rms_px if isinstance(fit, CircleFit) else None,
-        ellipse_points=int(np.count_nonzero(fit.inliers)) if isinstance(fit, CircleFit) else 0,
+        ellipse_points=used if isinstance(fit, CircleFit) else 0,
         picture_rms_levels=fit.rms_levels if isinstance(fit, AppearanceFit) else None,
-        picture_points=int(np.count_nonzero(fit.inliers)) if isinstance(fit, AppearanceFit) else 0,
+        picture_points=used if isinstance(fit, AppearanceFit) else 0,
         plane_inliers=0 if depth is None else depth.plane.inliers,
         plane_rms_m=None if depth is None else depth.rms_m,
         depth_contradicts=contradicts,
@@ -412,7 +377,7 @@ def _concluded(
     )
 
 
-def _by_depth(view: _View, depth: _Depth) -> Localisation | Refusal:
+def _by_depth(view: _View, depth: BoardPlane) -> Localisation | Refusal:
     """The plane, where the box's bearing meets it."""
     guess = view.guesses[0]
     ray = _ray(view.camera.color, guess)
@@ -482,17 +447,7 @@ def _roll(view: _View, board: CirclePose) -> Roll:
 
 def _tilt(board: CirclePose) -> float:
     """Angle [rad] between the board's normal and the line of sight."""
-    return _angle(board.normal, -unit(board.center))
-
-
-def _angle(a: Array, b: Array) -> float:
-    return math.acos(min(max(float(a @ b), -1.0), 1.0))
-
-
-def _range(plane: InverseDepthPlane, center: Array) -> float:
-    """Distance [m] to the plane along the bearing of a point (3,)."""
-    ray = center / center[2]
-    return plane.depth_along(ray) * length(ray)
+    return angle(board.normal, -unit(board.center))
 
 
 def _ray(intrinsics: CameraIntrinsics, guess: BoxGuess) -> Array:

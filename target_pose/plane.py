@@ -57,6 +57,26 @@ class InverseDepthPlane:
         inverse = float(self.coefficients @ ray)
         return 1 / inverse if inverse > 1e-9 else math.inf
 
+    def range_along(self, center: Array) -> float:
+        """Distance [m] to the plane along the bearing of a point (3,)."""
+        ray = center / center[2]
+        return self.depth_along(ray) * length(ray)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardPlane:
+    """The board's plane in the depth."""
+
+    plane: InverseDepthPlane
+    rms_m: float
+    """Robust deviation of the points from it along the camera's axis."""
+
+
+def board_plane(points: Array) -> BoardPlane | None:
+    """The plane of the points (N, 3) on a board; None if ``fit_plane`` finds none."""
+    plane = fit_plane(points)
+    return None if plane is None else BoardPlane(plane, plane_scatter(plane, points))
+
 
 def fit_plane(points: Array) -> InverseDepthPlane | None:
     """The plane that most of the points (N, 3) in the camera frame lie on.

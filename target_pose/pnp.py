@@ -27,11 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
-from target_pose.align import depth_points_in_box
+from target_pose.align import depth_points_in_box, depth_points_in_ellipse
 from target_pose.box_guess import MAX_COORDINATE_PX, box_guesses
 from target_pose.candidate import Box, Candidate
 from target_pose.covariance import covariance_from_information, floored, pose_offset, widened
 from target_pose.fusion import plane_error
+from target_pose.given import fits_camera, usable_up
 from target_pose.lens import project
 from target_pose.localisation import Localisation, Method, Refusal
 from target_pose.localise import (
@@ -44,13 +45,13 @@ from target_pose.localise import (
     SAME_FOLD_RAD,
     SURE_FOLD,
 )
-from target_pose.plane import InverseDepthPlane, fit_plane, plane_scatter
+from target_pose.plane import BoardPlane, InverseDepthPlane, board_plane
 from target_pose.pnp_corners import corner_places
 from target_pose.pnp_evidence import PnpEvidence, View, evidence_of
 from target_pose.pnp_fit import PnpFit, fit_pose
 from target_pose.roll import UNKNOWN_SIGMA_RAD
 from target_pose.target import Target
-from target_pose.vectors import length, unit
+from target_pose.vectors import angle, length, unit
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -58,12 +59,6 @@ PINNED_RAD = 1e-3
 """As well as not at all may boxes turn a board that no depth was seen on."""
 BOX_RANGE_SHARE = 0.1
 """Standard deviation of its range then: tilt and the roll of a board hide in the boxes' sizes."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Depth:
-    plane: InverseDepthPlane
-    rms_m: float
 
 
 def localise_pnp(
@@ -105,25 +100,12 @@ def _checked(
     target: Target,
     up_camera: Array | None,
 ) -> View | Refusal:
-    color, raw = camera.color, camera.depth
-    if color_rgb.shape != (color.height, color.width, 3) or color_rgb.dtype != np.uint8:
+    if not fits_camera(color_rgb, depth_units, camera, up_camera):
         return Refusal.BAD_INPUT
-    if depth_units is not None and (
-        depth_units.shape != (raw.height, raw.width) or depth_units.dtype != np.uint16
-    ):
-        return Refusal.BAD_INPUT
-    up = None
-    if up_camera is not None:
-        up = np.asarray(up_camera, dtype=np.float64)
-        if up.shape != (3,):
-            return Refusal.BAD_INPUT
-        with np.errstate(over="ignore"):
-            usable = 1e-6 < length(up) < 1e6  # false for NaN, too
-        up = up if usable else None
-    boxes = {k: box for k, box in candidate.boxes.items() if _in_picture(box, color)}
+    boxes = {k: box for k, box in candidate.boxes.items() if _in_picture(box, camera.color)}
     if not boxes:
         return Refusal.BAD_BOX
-    return View(color_rgb, camera, replace(candidate, boxes=boxes), target, up)
+    return View(color_rgb, camera, replace(candidate, boxes=boxes), target, usable_up(up_camera))
 
 
 def _in_picture(box: Box, intrinsics: CameraIntrinsics) -> bool:
@@ -146,12 +128,12 @@ def _located(
     if not folds:
         return Refusal.BEHIND_CAMERA
     best = folds[0]
-    others = [fold for fold in folds[1:] if _angle(fold.normal, best.normal) > SAME_FOLD_RAD]
+    others = [fold for fold in folds[1:] if angle(fold.normal, best.normal) > SAME_FOLD_RAD]
     other = others[0] if others else None
     depth = None if depth_units is None else _board_plane(depth_units, view, evidence, best)
     range_plane = None
     if depth is not None:
-        range_plane = _range(depth.plane, best.translation)
+        range_plane = depth.plane.range_along(best.translation)
         gross = GROSS_RATIO if evidence.tilt_known else GROSS_BOX_RATIO
         if not 1 / gross < range_plane / length(best.translation) < gross:
             return Refusal.INCONSISTENT
@@ -205,14 +187,14 @@ def _concluded(
     fit: PnpFit,
     fold: PnpFit | None,
     other: PnpFit | None,
-    depth: _Depth | None,
+    depth: BoardPlane | None,
     *,
     fused: bool,
 ) -> Localisation | Refusal:
     """Add the covariance of everything that is not sure."""
     assert fold is not None, "one of the folds was chosen"
     center, normal = fit.translation, fit.normal
-    if _angle(normal, -unit(center)) > MAX_TILT_RAD:
+    if angle(normal, -unit(center)) > MAX_TILT_RAD:
         return Refusal.GRAZING
     information = fit.information
     if fused and depth is not None:
@@ -227,7 +209,7 @@ def _concluded(
     if other is not None and not fused and other.cost - fold.cost < SURE_FOLD:
         share = 1 / (1 + math.exp((other.cost - fold.cost) / 2))
         covariance = widened(covariance, pose_offset(fit.pose, other.pose), share)
-    range_plane = None if depth is None else _range(depth.plane, fold.translation)
+    range_plane = None if depth is None else depth.plane.range_along(fold.translation)
     contradicts = depth is not None and not fused
     if contradicts and range_plane is not None:
         offset = np.zeros(6)
@@ -264,12 +246,10 @@ def _unknown_tilt(fit: PnpFit) -> Array:
 
 def _board_plane(
     depth_units: NDArray[np.uint16], view: View, evidence: PnpEvidence, fit: PnpFit
-) -> _Depth | None:
+) -> BoardPlane | None:
     """The plane of the point cloud, cropped to the board as the picture alone has it."""
     crop = _on_board if evidence.tilt_known else _in_disc
-    points = crop(depth_units, view, fit)
-    plane = fit_plane(points)
-    return None if plane is None else _Depth(plane, plane_scatter(plane, points))
+    return board_plane(crop(depth_units, view, fit))
 
 
 def _on_board(depth_units: NDArray[np.uint16], view: View, fit: PnpFit) -> Array:
@@ -293,22 +273,8 @@ def _on_board(depth_units: NDArray[np.uint16], view: View, fit: PnpFit) -> Array
 def _in_disc(depth_units: NDArray[np.uint16], view: View, fit: PnpFit) -> Array:
     """Depth points (N, 3) in the ellipse in the box of a disc: nothing else tells its tilt."""
     disc = box_guesses(view.candidate, view.target, view.camera.color)[0].disc
-    (u, v), (a, b) = disc.center_px, disc.semi_axes_px
-    box = Box(u - a, v - b, u + a, v + b, 0.0)
-    found = depth_points_in_box(depth_units, view.camera, box)
-    inside = np.square((found.uv_px - (u, v)) / (a, b)).sum(axis=1) < 1
-    return np.asarray(found.points[inside])
+    return depth_points_in_ellipse(depth_units, view.camera, *disc)
 
 
 def _faces(fit: PnpFit) -> bool:
     return float(fit.normal @ fit.translation) < 0
-
-
-def _range(plane: InverseDepthPlane, center: Array) -> float:
-    """Distance [m] to the plane along the bearing of a point (3,)."""
-    ray = center / center[2]
-    return plane.depth_along(ray) * length(ray)
-
-
-def _angle(a: Array, b: Array) -> float:
-    return math.acos(min(max(float(a @ b), -1.0), 1.0))

@@ -17,9 +17,10 @@ from target_pose.candidate import Candidate
 from target_pose.circle_edges import printed_circles
 from target_pose.circles import find_circle
 from target_pose.conic import CirclePose
+from target_pose.given import MIN_DISC_PX, usable_guesses
 from target_pose.lens import rays_from_pixels
 from target_pose.localisation import Refusal, RollSource
-from target_pose.localise import BOX_TILT_SIGMA_RAD, MIN_DISC_PX
+from target_pose.localise import BOX_TILT_SIGMA_RAD
 from target_pose.pnp_boxes import measure_boxes
 from target_pose.pnp_corners import Corners, corner_places, measure_corners
 from target_pose.pnp_fit import Measurements, Predict, predict_points
@@ -79,14 +80,9 @@ def evidence_of(view: View) -> PnpEvidence | Refusal:
         return _by_points(points)
     if points is not Refusal.NO_EVIDENCE or not view.target.discs:
         return points
-    guesses = box_guesses(view.candidate, view.target, view.camera.color)
-    if not guesses:
-        return Refusal.BAD_BOX
-    if max(guess.width_px for guess in guesses) < MIN_DISC_PX:
-        return Refusal.TOO_SMALL
-    centers = np.array([guess.disc.center_px for guess in guesses])
-    if not np.isfinite(rays_from_pixels(centers, view.camera.color)).all():
-        return Refusal.BAD_INTRINSICS
+    guesses = usable_guesses(view.candidate, view.target, view.camera.color)
+    if isinstance(guesses, Refusal):
+        return guesses
     return _by_corners(view) or _by_boxes(view) or Refusal.NO_EVIDENCE
 
 

@@ -13,7 +13,7 @@ from target_pose.covariance import covariance_from_information
 from target_pose.fusion import CircleFit
 from target_pose.localisation import CirclesFit, Evidence, Localisation
 from target_pose.plane import InverseDepthPlane
-from target_pose.vectors import length, orthogonal_to, unit
+from target_pose.vectors import angle, length, orthogonal_to, unit
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class Residuals:
 def tilt_rad(located: Localisation) -> float:
     """Angle between the board's normal and the line of sight."""
     pose = located.camera_from_target
-    return math.acos(min(max(-float(pose.rotation[:, 0] @ unit(pose.translation)), -1.0), 1.0))
+    return angle(pose.rotation[:, 0], -unit(pose.translation))
 
 
 def spread(located: Localisation) -> Spread:

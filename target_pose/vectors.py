@@ -21,6 +21,11 @@ def unit(v: Array) -> Array:
     return np.asarray(v / length(v))
 
 
+def angle(a: Array, b: Array) -> float:
+    """Angle [rad] between two unit vectors (3,)."""
+    return math.acos(min(max(float(a @ b), -1.0), 1.0))
+
+
 def cross(a: Array, b: Array) -> Array:
     """Cross product (3,)."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
