@@ -122,8 +122,6 @@ class Predicted(NamedTuple):
     light: Array  # (N,), linear
     derivative: Array  # (N, 25)
     """Zero by tone and pedestal, which are between light and code."""
-    outside_px: Array  # (N,)
-    """Distance from the board's rim, negative on the board."""
     radius_m: Array  # (N,)
     """Distance from the board's centre."""
 
@@ -154,7 +152,15 @@ def predict(raster: Raster, focal_px: Focal, board: Board, look: Look) -> Predic
     derivative[:, STRETCH_XY] = xy
     a, b = look.stretch_px2
     light = light + a * derivative[:, STRETCH_X] + b * derivative[:, STRETCH_XY]
-    return Predicted(light, derivative, rim.distance_px, np.hypot(plane.a, plane.b))
+    return Predicted(light, derivative, np.hypot(plane.a, plane.b))
+
+
+def outside_px(raster: Raster, focal_px: Focal, board: Board, look: Look) -> Array | None:
+    """Distance (N,) from the board's rim, negative on the board; None: not in front."""
+    plane = _on_board(raster.rays, look)
+    if plane is None:
+        return None
+    return _rim_distance(plane, focal_px, board, look).distance_px
 
 
 class _OnBoard(NamedTuple):
@@ -242,32 +248,48 @@ def _print(plane: _OnBoard, focal_px: Focal, board: Board, look: Look, soft_px: 
 class _Rim(NamedTuple):
     """How much of each pixel is board (N,), and the derivatives."""
 
-    distance_px: Array
     on: Array
     by_center: tuple[Array, Array, Array]
     by_turn: tuple[Array, Array, Array]
     by_margin: Array
 
 
-def _rim(plane: _OnBoard, focal_px: Focal, board: Board, look: Look, soft_px: float) -> _Rim:
-    a, b, cn = plane.a, plane.b, plane.center[2]
-    upright = np.abs(b) > np.abs(a)
-    oa = np.where(upright, 0.0, np.sign(a))
-    ob = np.where(upright, np.sign(b), 0.0)
+class _RimDistance(NamedTuple):
+    """From the side of the board that each pixel is nearest to."""
+
+    distance_px: Array  # (N,)
+    reach_m: Array  # (N,)
+    """From the centre, across that side."""
+    half_m: float
+    out: tuple[Array, Array]
+    """Across the side, to the right and upwards."""
+    px_per_m: Array  # (N,)
+    lean: Array  # (N,)
+
+
+def _rim_distance(plane: _OnBoard, focal_px: Focal, board: Board, look: Look) -> _RimDistance:
+    upright = np.abs(plane.b) > np.abs(plane.a)
+    oa = np.where(upright, 0.0, np.sign(plane.a))
+    ob = np.where(upright, np.sign(plane.b), 0.0)
     px_per_m, lean = _px_per_m(plane, look, focal_px, (oa, ob))
-    reach = a * oa + b * ob
+    reach = plane.a * oa + plane.b * ob
     half = board.half_side_m + look.margin_m
-    distance = (reach - half) * px_per_m
-    on, slope = _soft_step(distance, soft_px)
-    across = slope * px_per_m
-    leaned = across * (lean + (half - reach) / cn)
+    return _RimDistance((reach - half) * px_per_m, reach, half, (oa, ob), px_per_m, lean)
+
+
+def _rim(plane: _OnBoard, focal_px: Focal, board: Board, look: Look, soft_px: float) -> _Rim:
+    rim = _rim_distance(plane, focal_px, board, look)
+    (oa, ob), half = rim.out, rim.half_m
+    on, slope = _soft_step(rim.distance_px, soft_px)
+    across = slope * rim.px_per_m
+    leaned = across * (rim.lean + (half - rim.reach_m) / plane.center[2])
     # the point of the rim that a pixel is nearest to
-    ea, eb = np.where(upright, a, half * oa), np.where(upright, half * ob, b)
+    upright = ob != 0
+    ea, eb = np.where(upright, plane.a, half * oa), np.where(upright, half * ob, plane.b)
     return _Rim(
-        distance,
         on,
         (-across * oa, -across * ob, leaned),
-        (leaned * eb, -leaned * ea, across * (oa * b - ob * a)),
+        (leaned * eb, -leaned * ea, across * (oa * plane.b - ob * plane.a)),
         -across,
     )
 

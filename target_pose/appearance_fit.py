@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from rgbd_wire.camera import CameraIntrinsics
 from target_pose import appearance
-from target_pose.appearance import SRGB_TONE, Board, Focal, Look, Predicted, Raster, predict
+from target_pose.appearance import (
+    SRGB_TONE,
+    Board,
+    Focal,
+    Look,
+    Predicted,
+    Raster,
+    outside_px,
+    predict,
+)
 from target_pose.conic import CirclePose
 from target_pose.fusion import SIZE_SIGMA, TILT_DAMPING, plane_terms
 from target_pose.lens import project, rays_from_pixels
@@ -125,7 +134,7 @@ def cut_patch(
     board: Board,
     look: Look,
 ) -> Patch | None:
-    """The pixels of a board and a little around it; None if too many or none."""
+    """The pixels of a board and a little around it; None if they are too few."""
     right = cross(look.up, look.normal)
     half = board.half_side_m
     corners = [look.center + half * (a * right + b * look.up) for a in (-1, 1) for b in (-1, 1)]
@@ -158,10 +167,10 @@ def cut_patch(
     x, y = np.meshgrid(np.linspace(-1, 1, w), np.linspace(-1, 1, h))
     focal_px = intrinsics.fx / bin_px, intrinsics.fy / bin_px
     raster = Raster(rays, x.ravel(), y.ravel(), (h, w))
-    seen = predict(raster, focal_px, board, look)
-    if seen is None:
+    outside = outside_px(raster, focal_px, board, look)
+    if outside is None:
         return None
-    return Patch(raster, gray.ravel(), focal_px, bin_px, seen.outside_px < AROUND_PX)
+    return Patch(raster, gray.ravel(), focal_px, bin_px, outside < AROUND_PX)
 
 
 def fit_appearance(
@@ -190,18 +199,17 @@ def fit_appearance(
     seen = predict(patch.raster, patch.focal_px, board, start)
     if seen is None:
         return None
-    chosen = patch.chosen
-    if np.count_nonzero(chosen) < MIN_PIXELS:
+    if np.count_nonzero(patch.chosen) < MIN_PIXELS:
         return None
     look = start
     if not lit:
-        look = _lit(patch, seen, start, chosen)
+        look = _lit(patch, seen, start)
         seen = predict(patch.raster, patch.focal_px, board, look)
     assert seen is not None
     prior = _prior(look)
-    state = _State(patch, seen, chosen, look)
+    state = _State(patch, seen, look)
     for _ in range(ITERATIONS):
-        following = _better(patch, board, (state, look), chosen, prior, plane)
+        following = _better(patch, board, (state, look), prior, plane)
         if following is None:
             break
         state, look, gain = following
@@ -214,7 +222,6 @@ def _better(
     patch: Patch,
     board: Board,
     at: tuple[_State, Look],
-    chosen: NDArray[np.bool_],
     prior: Array,
     plane: InverseDepthPlane | None,
 ) -> tuple[_State, Look, float] | None:
@@ -235,7 +242,7 @@ def _better(
         following = look.moved(step)
         seen = predict(patch.raster, patch.focal_px, board, following)
         if seen is not None:
-            trial = _State(patch, seen, chosen, following)
+            trial = _State(patch, seen, following)
             gain = before - _cost(trial, following, prior, plane, state.sigma)
             if gain >= 0:
                 return trial, following, gain
@@ -250,9 +257,8 @@ class _State:
 
     __slots__ = ("derivative", "errors", "gray", "open", "radius_m", "shape", "sigma", "where")
 
-    def __init__(
-        self, patch: Patch, seen: Predicted, chosen: NDArray[np.bool_], look: Look
-    ) -> None:
+    def __init__(self, patch: Patch, seen: Predicted, look: Look) -> None:
+        chosen = patch.chosen
         gray, by_light, by_tone = coded(seen.light[chosen], look.tone)
         self.gray = patch.gray[chosen]
         self.errors = gray + look.pedestal - self.gray
@@ -274,11 +280,11 @@ class _State:
         self.shape = patch.raster.shape
 
 
-def _lit(patch: Patch, seen: Predicted, look: Look, chosen: NDArray[np.bool_]) -> Look:
+def _lit(patch: Patch, seen: Predicted, look: Look) -> Look:
     """The look with the levels of black, white and wall that fit the picture best."""
     levels = [appearance.BLACK, appearance.WHITE, appearance.WALL]
-    design = seen.derivative[chosen][:, levels]
-    light = _light(patch.gray[chosen], look.tone)
+    design = seen.derivative[patch.chosen][:, levels]
+    light = _light(patch.gray[patch.chosen], look.tone)
     found = np.linalg.lstsq(design, light, rcond=1e-6)[0].tolist()
     step = np.zeros(appearance.PARAMETERS)
     step[levels] = np.array(found) - (look.black, look.white, look.wall[0])
