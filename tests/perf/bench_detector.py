@@ -216,7 +216,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     parts = options.only or list(PARTS)
     counting = Counting(options.min_px, options.min_visible)
     result: dict[str, Any] = {
-        "command": shown_command(options.arguments),
+        "command": shown_command("detector", options.arguments),
         "machine": machine(),
         "seed": options.seed,
         "generator": generator_version(),
@@ -243,10 +243,10 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     return result
 
 
-def shown_command(arguments: list[str]) -> str:
+def shown_command(bench: str, arguments: list[str]) -> str:
     """How it was started; of whole paths the last part alone, the rest is this machine's."""
     shown = [Path(a).name if a.startswith("/") and len(a) > 1 else a for a in arguments]
-    return shlex.join(["scripts/bench", "detector", *shown])
+    return shlex.join(["scripts/bench", bench, *shown])
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
@@ -259,8 +259,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     p.add_argument("--only", choices=PARTS, action="append", help="this part; repeatable")
     p.add_argument("--weights", type=Path, help="default: the packaged ones")
     p.add_argument("--engine", choices=ENGINES, default="torch", help="for all but speed")
-    p.add_argument("--count", type=_positive, default=300, help="pictures a condition (300)")
-    p.add_argument("--negatives", type=_positive, default=2000, help="hard negatives (2000)")
+    p.add_argument("--count", type=positive, default=300, help="pictures a condition (300)")
+    p.add_argument("--negatives", type=positive, default=2000, help="hard negatives (2000)")
     p.add_argument("--seed", type=int, default=2026, help="of the pictures (2026)")
     p.add_argument("--fp-per-1000", type=float, default=1.0, help="allowed false positives (1)")
     p.add_argument("--min-px", type=float, default=Counting().min_px, help="narrowest board (14)")
@@ -268,9 +268,9 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     p.add_argument("--package-root", type=Path, default=Path("/"), help="as of `scenes`")
     p.add_argument("--backgrounds", type=Path, action="append", default=[], help="likewise")
     p.add_argument("--cache", type=Path, default=Path("runs/bench-detector"))
-    p.add_argument("--jobs", type=_positive, default=len(os.sched_getaffinity(0)))
-    p.add_argument("--rounds", type=_positive, default=10, help="turns of each engine (10)")
-    p.add_argument("--pictures-a-round", type=_positive, default=30, help="of a turn (30)")
+    p.add_argument("--jobs", type=positive, default=len(os.sched_getaffinity(0)))
+    p.add_argument("--rounds", type=positive, default=10, help="turns of each engine (10)")
+    p.add_argument("--pictures-a-round", type=positive, default=30, help="of a turn (30)")
     p.add_argument("--json", action="store_true", help="print JSON instead of the tables")
     p.add_argument("--out", type=Path, help="write the tables to this Markdown file")
     options = p.parse_args(arguments)
@@ -278,7 +278,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     return options
 
 
-def _positive(text: str) -> int:
+def positive(text: str) -> int:
+    """A whole number of at least one, for argparse."""
     if (value := int(text)) < 1:
         raise argparse.ArgumentTypeError(f"{value}: give 1 or more")
     return value

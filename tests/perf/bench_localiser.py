@@ -17,7 +17,6 @@ import hashlib
 import json
 import multiprocessing
 import os
-import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -33,7 +32,7 @@ from detector_training.commands.shell import one_line_errors
 from edge_service.detector.engines import ENGINES, open_engine
 from target_pose.target import load_target
 from tests.perf import bench_localiser_speed as speed
-from tests.perf.bench_detector import _positive, progress
+from tests.perf.bench_detector import positive, progress, shown_command
 from tests.perf.bench_detector_prints import OURS
 from tests.perf.bench_detector_real import RECORDING
 from tests.perf.bench_detector_scenes import generator_version, test_backgrounds
@@ -238,7 +237,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     setting = Setting(options.seed, options.cache, backgrounds, options.engine, options.weights)
     detector = open_engine(options.engine, options.weights)
     result: dict[str, Any] = {
-        "command": shown_command(options.arguments),
+        "command": shown_command("localiser", options.arguments),
         "machine": machine(),
         "seed": options.seed,
         "generator": generator_version(),
@@ -304,12 +303,6 @@ def _rendered_parts(
     return result
 
 
-def shown_command(arguments: list[str]) -> str:
-    """How it was started; of whole paths the last part alone, the rest is this machine's."""
-    shown = [Path(a).name if a.startswith("/") and len(a) > 1 else a for a in arguments]
-    return shlex.join(["scripts/bench", "localiser", *shown])
-
-
 def parse(arguments: list[str]) -> argparse.Namespace:
     """The options."""
     p = argparse.ArgumentParser(
@@ -320,11 +313,11 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     few = "(100, or --count where that is less)"
     p.add_argument("--only", choices=PARTS, action="append", help="this part; repeatable")
     p.add_argument("--condition", choices=ACCURACY, action="append", help="of accuracy; repeatable")
-    p.add_argument("--count", type=_positive, default=334, help="poses a cell (334: 5010 in all)")
-    p.add_argument("--markers", type=_positive, help=f"of these beside AprilTag and ArUco {few}")
-    p.add_argument("--occlusion", type=_positive, help=f"poses a case {few}")
-    p.add_argument("--ladder", type=_positive, help=f"poses a distance {few}")
-    p.add_argument("--speed-poses", type=_positive, default=150, help="timed (150)")
+    p.add_argument("--count", type=positive, default=334, help="poses a cell (334: 5010 in all)")
+    p.add_argument("--markers", type=positive, help=f"of these beside AprilTag and ArUco {few}")
+    p.add_argument("--occlusion", type=positive, help=f"poses a case {few}")
+    p.add_argument("--ladder", type=positive, help=f"poses a distance {few}")
+    p.add_argument("--speed-poses", type=positive, default=150, help="timed (150)")
     p.add_argument("--weights", type=Path, help="default: the packaged ones")
     p.add_argument("--engine", choices=ENGINES, default="torch")
     p.add_argument("--seed", type=int, default=2026, help="of the poses (2026)")
@@ -332,7 +325,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     p.add_argument("--backgrounds", type=Path, action="append", default=[], help="likewise")
     p.add_argument("--recording", type=Path, default=RECORDING, help="the real one's folder")
     p.add_argument("--cache", type=Path, default=Path("runs/bench-localiser"))
-    p.add_argument("--jobs", type=_positive, default=len(os.sched_getaffinity(0)))
+    p.add_argument("--jobs", type=positive, default=len(os.sched_getaffinity(0)))
     p.add_argument("--trials", type=Path, help="write one JSON line a trial")
     p.add_argument("--plot", type=Path, help="write the calibration as a picture (.png)")
     p.add_argument("--worst", type=Path, help="write pictures of the worst poses to this folder")
