@@ -43,7 +43,7 @@ from target_pose.localise import (
     GROSS_RATIO,
     MAX_TILT_RAD,
     SAME_FOLD_RAD,
-    SURE_FOLD,
+    doubt,
 )
 from target_pose.plane import BoardPlane, InverseDepthPlane, board_plane
 from target_pose.pnp_corners import corner_places
@@ -206,8 +206,9 @@ def _concluded(
     if not fused and not evidence.tilt_known:
         covariance = covariance + _unknown_tilt(fit)
     share = 0.0
-    if other is not None and not fused and other.cost - fold.cost < SURE_FOLD:
-        share = 1 / (1 + math.exp((other.cost - fold.cost) / 2))
+    if other is not None and not fused:
+        share = doubt(other.cost - fold.cost, fold.normal, other.normal)
+    if other is not None and share > 0:
         covariance = widened(covariance, pose_offset(fit.pose, other.pose), share)
     range_plane = None if depth is None else depth.plane.range_along(fold.translation)
     contradicts = depth is not None and not fused
