@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drone_client.guidance import GuidanceSettings, guide, yaw_error_rad
+from drone_client.guidance import STILL, Aim, Goal, GuidanceSettings, guide, yaw_error_rad
 from rgbd_wire.geometry import Pose, rotation_from_vector
 
 SETTINGS = GuidanceSettings()
@@ -25,16 +25,16 @@ def facing(x: float, y: float, z: float, yaw_error: float = 0.0) -> Pose:
 
 
 def test_in_line_it_closes_in() -> None:
-    """On the axis and square, the wish is -k_x (x + push) along x."""
+    """On the axis and square, the wish is -(touch + k_x x) along x."""
     nominal = guide(facing(0.3, 0.0, 0.0), SETTINGS, UP)
-    assert nominal.velocity_tip_target == pytest.approx((-0.4 * 0.325, 0.0, 0.0))
+    assert nominal.velocity_tip_target == pytest.approx((-0.03 - 0.4 * 0.3, 0.0, 0.0))
     assert nominal.yaw_rate_radps == pytest.approx(0.0, abs=1e-12)
 
 
 def test_across_it_is_twice_as_eager() -> None:
     """The lateral gain is the larger, so that the tip lines up before it arrives."""
     vx, vy, vz = guide(facing(0.1, 0.02, -0.01), SETTINGS, UP).velocity_tip_target
-    assert (vx, vy, vz) == pytest.approx((-0.4 * 0.125, -0.8 * 0.02, 0.8 * 0.01))
+    assert (vx, vy, vz) == pytest.approx((-0.03 - 0.4 * 0.1, -0.8 * 0.02, 0.8 * 0.01))
 
 
 def test_the_goal_lies_behind_the_board() -> None:
@@ -56,10 +56,25 @@ def test_every_wish_is_within_its_limits(x, y, z, yaw_error) -> None:
         assert nominal.velocity_tip_target[0] >= -SETTINGS.touch_mps - 1e-12
 
 
-def test_the_touch_is_gentle_for_any_gain() -> None:
-    """The closing profile holds where the gain alone would be too eager."""
-    eager = GuidanceSettings(k_x=2.0, k_lateral=2.0, push_m=0.05)
-    assert guide(facing(0.0, 0.0, 0.0), eager, UP).velocity_tip_target[0] == pytest.approx(-0.08)
+@pytest.mark.parametrize("k_x", [0.1, 0.25, 0.4])
+@pytest.mark.parametrize("late_s", [0.0, 0.15])
+def test_a_vehicle_that_follows_late_still_touches_gently(k_x, late_s) -> None:
+    """A lag of 0.3 s, and a delay before it: the closing profile leaves what its docstring says."""
+    settings = GuidanceSettings(k_x=k_x)
+    x, v, dt = 1.0, 0.0, 0.001
+    commands = [0.0] * (1 + round(late_s / dt))
+    while x > 0.0:
+        commands.append(guide(facing(x, 0, 0), settings, UP).velocity_tip_target[0])
+        v += dt / 0.3 * (commands.pop(0) - v)
+        x += dt * v
+    assert -v == pytest.approx(0.03 / (1 - k_x * (0.3 + late_s)), rel=0.05)
+
+
+def test_far_away_it_may_only_be_as_fast_as_it_can_brake() -> None:
+    """The square root bounds what the gain asks for where the vehicle brakes badly."""
+    weak = GuidanceSettings(brake_mps2=0.05)
+    vx, _, _ = guide(facing(0.8, 0.0, 0.0), weak, UP).velocity_tip_target
+    assert vx == pytest.approx(-math.sqrt(0.03**2 + 2 * 0.05 * 0.8))
 
 
 @given(angles.filter(lambda a: abs(a) < 3.1))
@@ -120,7 +135,65 @@ def test_a_far_target_is_approached_at_the_speed_limit_in_the_same_direction() -
     """The wish is shortened as a whole, not cut per axis."""
     vx, vy, vz = guide(facing(2.0, 1.5, 0.0), SETTINGS, UP).velocity_tip_target
     assert math.hypot(vx, vy, vz) == pytest.approx(0.4)
-    assert vy / vx == pytest.approx(0.8 * 1.5 / (0.4 * 2.025))
+    assert vy / vx == pytest.approx(0.8 * 1.5 / (0.03 + 0.4 * 2.0))
+
+
+@given(coordinates, coordinates, coordinates, angles, st.sampled_from(Aim))
+def test_every_aim_keeps_the_limits(x, y, z, yaw_error, aim) -> None:
+    """Whatever the mission wants."""
+    nominal = guide(facing(x, y, z, yaw_error), SETTINGS, UP, Goal(aim, 1.0))
+    assert math.hypot(*nominal.velocity_tip_target) <= SETTINGS.speed_max_mps + 1e-12
+    assert abs(nominal.yaw_rate_radps) <= SETTINGS.yaw_rate_max_radps
+    if aim is Aim.RETREAT:
+        assert nominal.velocity_tip_target[0] >= 0.0
+
+
+def test_still_is_still() -> None:
+    """However crooked and far."""
+    nominal = guide(facing(2.0, 1.0, -1.0, 1.0), SETTINGS, UP, STILL)
+    assert (nominal.velocity_tip_target, nominal.yaw_rate_radps) == ((0.0, 0.0, 0.0), 0.0)
+
+
+@pytest.mark.parametrize(("x", "sign"), [(2.0, -1), (0.3, 1)])
+def test_to_a_stand_off_point_from_both_sides(x, sign) -> None:
+    """Inwards from afar and outwards from near, to the same place."""
+    goal = Goal(Aim.STANDOFF, 1.0)
+    vx, vy, _ = guide(facing(x, 0.1, 0.0), SETTINGS, UP, goal).velocity_tip_target
+    assert sign * vx > 0.1
+    assert vy < 0.0
+    assert guide(facing(1.0, 0, 0), SETTINGS, UP, goal).velocity_tip_target == pytest.approx(
+        (0.0, 0.0, 0.0)
+    )
+
+
+def test_pressing_is_straight_and_ends_at_the_push_depth() -> None:
+    """No sideways drag and no turn, however crooked; beyond the depth it comes back."""
+    press = Goal(Aim.PRESS)
+    nominal = guide(facing(0.0, 0.01, 0.01, 0.3), SETTINGS, UP, press)
+    assert nominal.velocity_tip_target == (-SETTINGS.press_mps, 0.0, 0.0)
+    assert nominal.yaw_rate_radps == 0.0
+    at_depth = guide(facing(-SETTINGS.push_m, 0, 0), SETTINGS, UP, press).velocity_tip_target
+    assert at_depth == pytest.approx((0.0, 0.0, 0.0))
+    assert guide(facing(-0.035, 0, 0), SETTINGS, UP, press).velocity_tip_target[0] > 0.0
+
+
+def test_a_retreat_is_straight_at_first() -> None:
+    """Pressed, the tip leaves along x alone; clear of the board it comes back to the axis."""
+    back = Goal(Aim.RETREAT, 1.0)
+    pressed = guide(facing(-0.02, 0.02, 0.0, 0.2), SETTINGS, UP, back)
+    assert pressed.velocity_tip_target == (SETTINGS.retreat_mps, 0.0, 0.0)
+    assert pressed.yaw_rate_radps == 0.0
+    clear = guide(facing(0.2, 0.02, 0.0, 0.2), SETTINGS, UP, back)
+    assert clear.velocity_tip_target == pytest.approx((SETTINGS.retreat_mps, -0.016, 0.0))
+    assert clear.yaw_rate_radps > 0.0
+
+
+@pytest.mark.parametrize("aim", [Aim.STANDOFF, Aim.CONTACT, Aim.PRESS])
+def test_what_is_no_number_stays_none(aim) -> None:
+    """A tip that is NaN makes a wish that is NaN, which the safety filter turns into a stop."""
+    tip = facing(1.0, 0.0, 0.0)
+    object.__setattr__(tip, "translation", np.full(3, math.nan))
+    assert math.isnan(guide(tip, SETTINGS, UP, Goal(aim, 1.0)).velocity_tip_target[0])
 
 
 @pytest.mark.parametrize("name", list(GuidanceSettings.__dataclass_fields__))
@@ -135,3 +208,10 @@ def test_arriving_before_being_in_line_is_refused() -> None:
     """k_x may not exceed k_lateral."""
     with pytest.raises(ValueError, match="before it is in line"):
         GuidanceSettings(k_x=0.9, k_lateral=0.8)
+
+
+def test_gains_that_swing_are_refused() -> None:
+    """A gain above a quarter of the inverse lag overshoots; the message says the largest one."""
+    with pytest.raises(ValueError, match=r"k_lateral = 0.8 exceeds 0.25 / lag_s = 0.625"):
+        GuidanceSettings(lag_s=0.4)
+    assert GuidanceSettings(lag_s=0.0).k_lateral == 0.8
