@@ -70,7 +70,7 @@ class Pairer(Generic[C, D]):
         """
         if tolerance_ns < 0 or spacing_ns < 1 or capacity < 1:
             raise ValueError(
-                f"no pairing with tolerance {tolerance_ns}, spacing {spacing_ns}, capacity {capacity}"
+                f"tolerance {tolerance_ns} < 0, spacing {spacing_ns} < 1 or capacity {capacity} < 1"
             )
         self.paired = 0
         self.unpaired_color: Counter[Unpaired] = Counter()
