@@ -48,14 +48,16 @@ TONE_SIGMA = 0.2
 """Of the tone curve's exponent: from a picture without any, 1, to more contrast than sRGB has."""
 PEDESTAL_SIGMA = 8.0
 """[grey values]"""
-VEIL_SIGMA = 0.05
+VEIL_SIGMA = 0.1
 """Of what a cover mirrors, over the contrast in light."""
 SATURATED = 250
 """Grey value from which on, and as near to zero, a pixel is at the end of its scale."""
 DARKEST = 1e-4
 """Light that is coded as black."""
 SHADE_SIGMA = 0.2
-ITERATIONS = 8
+WALL_SIGMA = 0.5
+"""Of how the wall's light slopes, over the light itself."""
+ITERATIONS = 16
 CONVERGED = 0.3
 """Gain in squared standard deviations that ends the search."""
 MAX_TURN_RAD = 0.3
@@ -301,7 +303,8 @@ def _prior(look: Look) -> Array:
     contrast = max(abs(look.white - look.black), 0.01)
     prior[appearance.VEIL] = (VEIL_SIGMA * contrast) ** -2
     prior[appearance.PEDESTAL] = PEDESTAL_SIGMA**-2
-    prior[appearance.WALL_X] = prior[appearance.WALL_Y] = (0.5 * contrast) ** -2
+    wall = WALL_SIGMA * max(contrast, look.wall[0])
+    prior[appearance.WALL_X] = prior[appearance.WALL_Y] = wall**-2
     prior[appearance.SHADE_X] = prior[appearance.SHADE_Y] = SHADE_SIGMA**-2
     prior[appearance.TONE] = TONE_SIGMA**-2
     return prior
