@@ -89,6 +89,8 @@ def test_errors_drawn_from_a_covariance_follow_chi_square():
         )
         squared = squared_mahalanobis(pose_error(estimate, truth), covariance)
         trials.append(Trial("a", "a", 1.0, 0, OURS, True, roll_source="edges", squared=squared))
+    drawn = [replace(t, squared=None, squared_drawn=t.squared) for t in trials]
+    assert calibration(drawn, drawn=True) == calibration(trials)
     for rows in calibration(trials).values():
         assert rows["count"] == 3000
         for level, share in rows["inside"].items():

@@ -125,7 +125,8 @@ def accuracy_part(trials: Sequence[Trial], others: Sequence[Trial]) -> dict[str,
     groups |= dict(sorted(methods.items()))
     return {
         "cells": [cell_summary(rows) for rows in by(trials, _cell).values()],
-        "calibration": {name: calibration(rows) for name, rows in groups.items()},
+        "calibration": {name: calibration(rows, drawn=True) for name, rows in groups.items()}
+        | {"all, camera exactly known": calibration(trials)},
     }
 
 

@@ -86,7 +86,8 @@ def _accuracy(part: dict[str, Any]) -> list[Row]:
 def _calibration(groups: dict[str, Any]) -> list[Row]:
     rows = []
     for part in ("position", "normal", "roll"):
-        beyond = [name for name, row in groups.items() if not _is_calibrated(row[part])]
+        drawn = {name: row for name, row in groups.items() if "exactly" not in name}
+        beyond = [name for name, row in drawn.items() if not _is_calibrated(row[part])]
         shares = groups["all"][part]["inside"].values()
         measured = " / ".join("-" if s is None else f"{100 * s['value']:.1f}" for s in shares)
         what = f"covariance of the {part}: inside 50 / 95 / 99 %"

@@ -33,7 +33,7 @@ def plot_calibration(groups: Mapping[str, Sequence[Trial]], out: Path) -> None:
     for panel, (part, freedom) in zip(panels, DEGREES_OF_FREEDOM.items(), strict=True):
         panel.plot([0, 1], [0, 1], color="0.7", linewidth=1)
         for name, trials in groups.items():
-            claimed = np.sort(chi2.cdf(squared_errors(trials, part), freedom))
+            claimed = np.sort(chi2.cdf(squared_errors(trials, part, drawn=True), freedom))
             if len(claimed):
                 inside = np.arange(1, len(claimed) + 1) / len(claimed)
                 panel.step(claimed, inside, where="post", label=f"{name} ({len(claimed)})")

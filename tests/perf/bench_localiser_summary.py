@@ -96,11 +96,16 @@ def by(trials: Iterable[Trial], key: Callable[[Trial], Any]) -> dict[Any, list[T
     return groups
 
 
-def calibration(trials: Sequence[Trial]) -> dict[str, Any]:
-    """Shares of squared Mahalanobis errors inside chi-square's levels, by part of the pose."""
+def calibration(trials: Sequence[Trial], drawn: bool = False) -> dict[str, Any]:
+    """Shares of squared Mahalanobis errors inside chi-square's levels, by part of the pose.
+
+    Args:
+        trials: Of any cells.
+        drawn: With the camera whose calibration is off, not the exact one.
+    """
     rows: dict[str, Any] = {}
     for part, freedom in DEGREES_OF_FREEDOM.items():
-        squared = squared_errors(trials, part)
+        squared = squared_errors(trials, part, drawn)
         rows[part] = {
             "count": len(squared),
             "inside": {
@@ -111,13 +116,14 @@ def calibration(trials: Sequence[Trial]) -> dict[str, Any]:
     return rows
 
 
-def squared_errors(trials: Sequence[Trial], part: str) -> np.ndarray:
+def squared_errors(trials: Sequence[Trial], part: str, drawn: bool = False) -> np.ndarray:
     """Squared Mahalanobis errors of the trials that have a pose; of the roll where it was seen."""
+    errors = ((t, t.squared_drawn if drawn else t.squared) for t in trials)
     return np.array(
         [
-            t.squared[part]
-            for t in trials
-            if t.squared is not None and (part != "roll" or t.roll_source in SURE_ROLL)
+            squared[part]
+            for t, squared in errors
+            if squared is not None and (part != "roll" or t.roll_source in SURE_ROLL)
         ]
     )
 

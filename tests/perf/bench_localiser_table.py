@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from target_pose.covariance import BEARING_SIGMA_RAD
+from target_pose.fusion import SIZE_SIGMA
 from tests.perf.bench_localiser_goals import GOALS, goals
 from tests.perf.bench_localiser_poses import BLUR_PX, LOW_LIGHT, TILT_DEG
 
@@ -25,7 +27,10 @@ picture {ladder}.
 _COVARIANCE = """
 Share [%] of squared errors over the covariance inside chi-square's 50 / 95 / 99 % (3 degrees of
 freedom for the position, 2 for the normal, 5 for both with their correlation, 1 for the roll where
-it came from edges or gravity). Less than nominal: too sure of itself.
+it came from edges or gravity). Less than nominal: too sure of itself. The covariance holds what
+calibration and print may be off; so the camera given is off, drawn anew for each pose: focal length
+over print size by {size:g} %, the line of sight by {bearing:g} mrad (sigma). The last row is with
+the true camera and print, as in all other tables.
 """
 _BESIDE = """
 The same poses, light, wear and camera, another print on the same board of 0.400 m, as large as its
@@ -159,7 +164,7 @@ def _accuracy(part: dict[str, Any]) -> list[str]:
         "",
         "## Is the covariance honest?",
         "",
-        _flow(_COVARIANCE),
+        _flow(_COVARIANCE, size=100 * SIZE_SIGMA, bearing=1e3 * BEARING_SIGMA_RAD),
         "",
         "| | poses | position | normal | both | rolls | roll |",
         "| --- | ---: | --- | --- | --- | ---: | --- |",

@@ -17,6 +17,8 @@ from edge_service.detector.engines import open_engine
 from rgbd_wire.camera import RgbdCamera
 from rgbd_wire.geometry import Pose
 from target_pose.candidate import Candidate, Detections
+from target_pose.covariance import BEARING_SIGMA_RAD
+from target_pose.fusion import SIZE_SIGMA
 from target_pose.localisation import Localisation, Refusal
 from target_pose.localise import localise
 from target_pose.nesting import group
@@ -74,6 +76,8 @@ class Trial:
     roll_deg: float | None = None
     squared: dict[str, float] | None = None
     """Squared Mahalanobis errors by ``DEGREES_OF_FREEDOM``."""
+    squared_drawn: dict[str, float] | None = None
+    """The same with a camera whose calibration is off, as the covariance believes it is."""
     estimate: list[float] | None = None
     """``camera_from_target``: translation, then q_wxyz."""
 
@@ -160,10 +164,18 @@ class Examiner:
         return None
 
     def _ours(self, blank: Trial, seen: View, candidate: Candidate, way: Localise) -> Trial:
-        answer = way(
-            seen.color_rgb, seen.depth_units, CAMERA, candidate, self.target, seen.up_camera
-        )
-        return judged(blank, answer, seen.camera_from_target)
+        def answer(camera: RgbdCamera) -> Localisation | Refusal:
+            return way(
+                seen.color_rgb, seen.depth_units, camera, candidate, self.target, seen.up_camera
+            )
+
+        trial = judged(blank, answer(CAMERA), seen.camera_from_target)
+        if blank.way == OURS and trial.localised:
+            drawn = answer(miscalibrated(CAMERA, np.random.default_rng(trial.index)))
+            return replace(
+                trial, squared_drawn=judged(blank, drawn, seen.camera_from_target).squared
+            )
+        return trial
 
     def _theirs(self, task: Task, printed: str) -> list[Trial]:
         view = self.album(task.cell, printed).view(task.index)
@@ -180,6 +192,19 @@ class Examiner:
             pose = poses.get(way)
             trials.append(blank if pose is None else _scored(blank, pose, view.camera_from_target))
         return trials
+
+
+def miscalibrated(camera: RgbdCamera, rng: np.random.Generator) -> RgbdCamera:
+    """A camera with an error drawn from the budget that the localiser's covariance holds.
+
+    The focal length's share stands for the print's size as well: the picture knows their ratio
+    alone. The line of sight's is the principal point's.
+    """
+    color = camera.color
+    focal = 1 + rng.normal(0.0, SIZE_SIGMA)
+    cx, cy = rng.normal((color.cx, color.cy), BEARING_SIGMA_RAD * color.fx)
+    off = replace(color, fx=color.fx * focal, fy=color.fy * focal, cx=float(cx), cy=float(cy))
+    return replace(camera, color=off)
 
 
 def localisers() -> dict[str, Localise]:
