@@ -18,7 +18,8 @@ class Capture:
     """One exposure as a source gives it, on the source's own time line."""
 
     t_source_ns: int
-    """Middle of the exposure on the source's time line, whose zero means nothing."""
+    """Middle of the exposure on the source's time line: the drone's monotonic clock for a live
+    source, otherwise one whose zero means nothing."""
     color_rgb: NDArray[np.uint8]  # (H, W, 3)
     depth_units: NDArray[np.uint16] | None  # (h, w)
     name: str
@@ -40,4 +41,40 @@ class RgbdSource(Protocol):
 
     def world_from_camera(self, t_source_ns: int) -> Pose | None:
         """Pose of the colour camera at a time on the source's time line; None: not known."""
+        ...
+
+
+class LiveSource(Protocol):
+    """A camera that runs now; its time line is the drone's monotonic clock."""
+
+    @property
+    def camera(self) -> RgbdCamera:
+        """The rig, as the camera tells it; known once started."""
+        ...
+
+    def start(self) -> None:
+        """Open the camera and let it run.
+
+        Raises:
+            SourceError: there is no such camera, or it cannot do what was asked for.
+        """
+        ...
+
+    def captures(self, timeout_s: float) -> Iterator[Capture | None]:
+        """The newest capture that was not given yet, as it comes; those before it are dropped.
+
+        None whenever none came within the time-out, so that a caller can look at other things.
+        Ends after ``stop``.
+
+        Raises:
+            SourceError: the camera went away and did not come back.
+        """
+        ...
+
+    def counts(self) -> dict[str, int]:
+        """What became of the camera's pictures, by reason; may be asked at any time."""
+        ...
+
+    def stop(self) -> None:
+        """Stop and close the camera; also when it never ran."""
         ...
