@@ -1,22 +1,36 @@
-"""One control tick: what is known -> guidance -> safety filter -> velocity command.
+"""One control tick: what is known -> mission -> guidance -> safety filter -> velocity command.
 
 Pure. Knowledge is looked at again on every tick: a result that was fresh when it came grows old
-between two ticks, and the filter sees its age now.
+between two ticks, and the filter sees its age now. Without a mission the drone goes straight for
+contact.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
 from drone_client.airframe import Airframe
 from drone_client.autopilot import VelocityCommand
 from drone_client.cbf.filter import FilterInput, SafeCommand, filter_command
+from drone_client.cbf.freshness import freshness
 from drone_client.cbf.settings import FilterSettings
-from drone_client.cbf.vector import Vec3
-from drone_client.guidance import GuidanceSettings, guide
+from drone_client.cbf.vector import Vec3, cross
+from drone_client.guidance import TO_CONTACT, GuidanceSettings, guide, yaw_error_rad
+from drone_client.mission import (
+    Intent,
+    MissionSettings,
+    MissionState,
+    Observation,
+    Seen,
+    Senses,
+    Told,
+    step,
+)
 from drone_client.target import Source, TargetEstimate
 from rgbd_wire.geometry import Array, Pose
 
@@ -36,10 +50,23 @@ class Known(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ControlSettings:
-    """Guidance and filter."""
+    """Mission, guidance and filter."""
 
+    mission: MissionSettings = field(default_factory=MissionSettings)
     guidance: GuidanceSettings = field(default_factory=GuidanceSettings)
     filter: FilterSettings = field(default_factory=FilterSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class OnMission:
+    """The mission at one tick: where it is, and what there is to notice beside the target.
+
+    ``Decision.mission`` is the ``state`` of the next tick; whoever only asks what would be decided
+    drops it.
+    """
+
+    state: MissionState
+    senses: Senses = field(default_factory=Senses)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +85,10 @@ class Decision:
     """Whose eyes the target was seen with; None: no target."""
     unconfirmed_ns: int = 0
     """How long the drone has been the only one to see it; 0: the edge's own word."""
+    mission: MissionState | None = None
+    """Where the mission is now, with its transition in this tick; None: there is no mission."""
+    intent: Intent | None = None
+    """What the mission wanted of this tick, and whether it gives the vehicle back."""
 
 
 def decide(
@@ -66,6 +97,7 @@ def decide(
     world_from_body: Pose | None,
     airframe: Airframe,
     settings: ControlSettings,
+    mission: OnMission | None = None,
 ) -> Decision:
     """Decide on the command to fly until the next tick.
 
@@ -74,41 +106,114 @@ def decide(
         estimate: where the target is believed to be; None: never seen.
         world_from_body: where the drone is now; None: it does not know.
         airframe: where the tip is.
-        settings: guidance and filter.
+        settings: mission, guidance and filter.
+        mission: where the mission is; None: none, straight for contact.
     """
-    if estimate is None:
-        return Decision(stop_command(now_ns), Known.NO_TARGET, None, None, None)
-    age_ns = now_ns - estimate.t_capture_ns
-    if world_from_body is None:
-        return Decision(stop_command(now_ns), Known.NO_POSE, age_ns, None, None, estimate.source)
+    scene = None
+    if estimate is not None and world_from_body is not None:
+        scene = _scene(estimate, world_from_body, airframe)
+    state, intent = None, Intent(TO_CONTACT)
+    if mission is not None:
+        observation = _observe(now_ns, estimate, world_from_body, scene, settings, mission.senses)
+        state, intent = step(mission.state, observation, settings.mission)
+        state = replace(state, told=Told())
 
+    # Where nothing may be flown by, the drone stands; a search turns meanwhile.
+    command = VelocityCommand(np.zeros(3), intent.yaw_rate_radps, now_ns)
+    if estimate is None:
+        return Decision(command, Known.NO_TARGET, None, None, None, mission=state, intent=intent)
+    age_ns, unconfirmed_ns = now_ns - estimate.t_capture_ns, estimate.unconfirmed_ns(now_ns)
+    known = Known.NO_POSE if scene is None else Known.TARGET
+    safe = tip_target = None
+    if scene is not None:
+        tip_target = scene.tip_target
+        if not intent.blind:
+            wish = guide(scene.target_from_tip, settings.guidance, scene.up_target, intent.goal)
+            safe = filter_command(
+                FilterInput(
+                    tip_target=tip_target,
+                    velocity_tip_nominal_target=wish.velocity_tip_target,
+                    yaw_rate_nominal_radps=wish.yaw_rate_radps,
+                    lever_arm_target=scene.lever_arm_target,
+                    up_target=scene.up_target,
+                    age_ns=age_ns,
+                    range_m=estimate.range_m,
+                    sigma_m=estimate.seen_sigma_m,
+                    unconfirmed_ns=unconfirmed_ns,
+                ),
+                settings.filter,
+            )
+            velocity_world = scene.world_from_target_rotation @ np.array(safe.velocity_body_target)
+            command = VelocityCommand(velocity_world, safe.yaw_rate_radps, now_ns)
+            if state is not None:
+                state = replace(state, told=_told(safe, scene))
+    return Decision(
+        command, known, age_ns, safe, tip_target, estimate.source, unconfirmed_ns, state, intent
+    )
+
+
+class _Scene(NamedTuple):
+    """Tip and body as the target sees them."""
+
+    target_from_tip: Pose
+    world_from_target_rotation: Array  # (3, 3)
+    tip_target: Vec3
+    tip_world: Vec3
+    lever_arm_target: Vec3
+    up_target: Vec3
+    tip_ahead_m: float
+
+
+def _scene(estimate: TargetEstimate, world_from_body: Pose, airframe: Airframe) -> _Scene:
     target_from_world = estimate.world_from_target.inverse()
     target_from_body = target_from_world @ world_from_body
     target_from_tip = target_from_body @ airframe.body_from_tip
-    target_from_world_rotation = target_from_world.rotation
-    tip_target = _vec3(target_from_tip.translation)
-    up_target = _vec3(target_from_world_rotation @ UP_WORLD)
-    nominal = guide(target_from_tip, settings.guidance, up_target)
-    unconfirmed_ns = estimate.unconfirmed_ns(now_ns)
-    safe = filter_command(
-        FilterInput(
-            tip_target=tip_target,
-            velocity_tip_nominal_target=nominal.velocity_tip_target,
-            yaw_rate_nominal_radps=nominal.yaw_rate_radps,
-            lever_arm_target=_vec3(target_from_tip.translation - target_from_body.translation),
-            up_target=up_target,
+    return _Scene(
+        target_from_tip,
+        target_from_world.rotation.T,
+        _vec3(target_from_tip.translation),
+        _vec3(world_from_body @ airframe.body_from_tip.translation),
+        _vec3(target_from_tip.translation - target_from_body.translation),
+        _vec3(target_from_world.rotation @ UP_WORLD),
+        float(airframe.body_from_tip.translation[0]),
+    )
+
+
+def _observe(
+    now_ns: int,
+    estimate: TargetEstimate | None,
+    world_from_body: Pose | None,
+    scene: _Scene | None,
+    settings: ControlSettings,
+    senses: Senses,
+) -> Observation:
+    """What the mission looks at."""
+    seen = heading_rad = None
+    if world_from_body is not None:
+        forward_world = world_from_body.rotation[:, 0]
+        heading_rad = math.atan2(forward_world[1], forward_world[0])
+    if estimate is not None and scene is not None:
+        age_ns = now_ns - estimate.t_capture_ns
+        seen = Seen(
+            tip_target=scene.tip_target,
+            tip_world=scene.tip_world,
+            axis_world=_vec3(scene.world_from_target_rotation[:, 0]),
+            yaw_error_rad=yaw_error_rad(
+                _vec3(scene.target_from_tip.rotation[:, 0]), scene.up_target
+            ),
             age_ns=age_ns,
-            range_m=estimate.range_m,
-            sigma_m=estimate.seen_sigma_m,
-            unconfirmed_ns=unconfirmed_ns,
-        ),
-        settings.filter,
-    )
-    velocity_world = target_from_world_rotation.T @ np.array(safe.velocity_body_target)
-    command = VelocityCommand(velocity_world, safe.yaw_rate_radps, now_ns)
-    return Decision(
-        command, Known.TARGET, age_ns, safe, tip_target, estimate.source, unconfirmed_ns
-    )
+            freshness=freshness(age_ns, settings.filter),
+            outliers=estimate.outliers,
+            tip_ahead_m=scene.tip_ahead_m,
+        )
+    return Observation(now_ns, seen, world_from_body is not None, heading_rad, senses)
+
+
+def _told(safe: SafeCommand, scene: _Scene) -> Told:
+    """The filter's answer for the mission's next tick."""
+    swing = cross(scene.up_target, scene.lever_arm_target)
+    along_mps = safe.velocity_body_target[0] + safe.yaw_rate_radps * swing[0]
+    return Told(safe.status, safe.delta_m, along_mps)
 
 
 def stop_command(now_ns: int) -> VelocityCommand:

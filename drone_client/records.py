@@ -50,7 +50,7 @@ def reception_record(r: Reception) -> dict[str, Any]:
 
 
 def decision_record(decision: Decision) -> dict[str, Any]:
-    """What a control tick knew, what the filter said, and the command."""
+    """What a control tick knew, what the mission and the filter said, and the command."""
     record: dict[str, Any] = {
         "known": decision.known.value,
         "target_age_ms": _ms(decision.age_ns),
@@ -62,6 +62,13 @@ def decision_record(decision: Decision) -> dict[str, Any]:
             "target_source": decision.source.value,
             "unconfirmed_ms": _ms(decision.unconfirmed_ns),
         }
+    if (mission := decision.mission) is not None:
+        record |= {"phase": mission.phase.value, "reason": mission.reason.value}
+        if (transition := mission.transition) is not None:
+            record["transition"] = {
+                "before": transition.before.value,
+                "sentence": transition.sentence,
+            }
     if (safe := decision.safe) is not None:
         record |= {
             "tip_target_m": None

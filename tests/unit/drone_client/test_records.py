@@ -12,8 +12,9 @@ from drone_client.airframe import Airframe
 from drone_client.autopilot import VelocityCommand
 from drone_client.cbf import Freshness, SafeCommand, Status
 from drone_client.clock_offset import OffsetEstimate
-from drone_client.control import ControlSettings, Decision, Known, decide
+from drone_client.control import ControlSettings, Decision, Known, OnMission, decide
 from drone_client.gate import Judgement, Verdict
+from drone_client.mission import MissionSettings, begin
 from drone_client.reception import Reception
 from drone_client.records import decision_record, one_way_record, reception_record
 from drone_client.target import TargetEstimate, TargetMeasurement, Update
@@ -112,6 +113,21 @@ def test_a_decision_without_knowledge_says_that_alone():
         "command_mps": [0, 0, 0],
         "yaw_rate_radps": 0,
     }
+
+
+def test_a_mission_is_told_with_its_phase_and_every_transition_with_its_sentence():
+    """The phase and why it began on every tick; the sentence in the tick of the transition."""
+    settings = ControlSettings(mission=MissionSettings(needs_vehicle=False))
+    state, records = begin(0), []
+    for tick in range(20):
+        d = decide(20 * tick * MS, None, pose(), Airframe(), settings, OnMission(state))
+        state = d.mission
+        records.append(decision_record(d))
+        json.dumps(records[-1], allow_nan=False)
+    assert (records[0]["phase"], records[0]["reason"]) == ("hold", "waiting")
+    assert (records[-1]["phase"], records[-1]["reason"]) == ("search", "vehicle_ready")
+    told = [r["transition"] for r in records if "transition" in r]
+    assert told == [{"before": "hold", "sentence": "no vehicle to wait for"}]
 
 
 def test_what_is_no_number_is_null():

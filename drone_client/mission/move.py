@@ -1,0 +1,75 @@
+"""What the rules of the mission share: a move to another phase, times, and what may be trusted."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from drone_client.cbf.freshness import Freshness
+from drone_client.mission.phase import Phase, Reason
+from drone_client.mission.settings import MissionSettings
+from drone_client.mission.state import MissionState, Observation, Seen
+
+NS_PER_S = 1_000_000_000
+
+
+class Move(NamedTuple):
+    """Where to, why, and the numbers for people."""
+
+    to: Phase
+    reason: Reason
+    sentence: str
+
+
+def lasts(since_ns: int | None, now_ns: int, time_s: float) -> bool:
+    """Whether something has held for so long."""
+    return since_ns is not None and now_ns - since_ns >= round(time_s * NS_PER_S)
+
+
+def since(since_ns: int | None, holds: bool, now_ns: int) -> int | None:
+    """Since when something holds without a break; None: it does not."""
+    if not holds:
+        return None
+    return now_ns if since_ns is None else since_ns
+
+
+def phase_lasts(state: MissionState, time_s: float) -> bool:
+    """Whether the phase is so old."""
+    return lasts(state.since_ns, state.now_ns, time_s)
+
+
+def phase_s(state: MissionState) -> float:
+    """Age of the phase [s], for people."""
+    return (state.now_ns - state.since_ns) / NS_PER_S
+
+
+def trusted(state: MissionState, obs: Observation) -> Seen | None:
+    """The target, unless what is known of it is from before the drone lost its own place."""
+    seen = obs.seen
+    if seen is None or obs.senses.odometry_jumped or not obs.own_pose:
+        return None
+    if state.lost_ns is not None and state.now_ns - seen.age_ns <= state.lost_ns:
+        return None
+    return seen
+
+
+def is_doubted(seen: Seen, settings: MissionSettings) -> bool:
+    """Whether measurements contradict the estimate."""
+    return seen.outliers >= settings.doubt_outliers
+
+
+def is_good(seen: Seen | None, settings: MissionSettings) -> bool:
+    """Whether the target is known well enough to come nearer by it."""
+    return seen is not None and seen.freshness is Freshness.FRESH and not is_doubted(seen, settings)
+
+
+def last_seen(seen: Seen) -> str:
+    """How long ago the target was seen, for people; absurd ages are cut."""
+    age_ms = min(max(seen.age_ns, -(10**15)), 10**15) / 1e6
+    return f"the target was last seen {age_ms:.0f} ms ago"
+
+
+def place(state: MissionState) -> str:
+    """Where the tip is, for people."""
+    if state.tip_target is None:
+        return "tip unknown"
+    return "tip at ({:.3f}, {:.3f}, {:.3f}) m".format(*state.tip_target)
