@@ -11,16 +11,19 @@ from drone_client.cbf.filter import FilterInput, SafeCommand, filter_command
 from drone_client.cbf.freshness import Freshness, freshness
 from drone_client.cbf.funnel import Funnel
 from drone_client.cbf.half_space import HalfSpace, build
+from drone_client.cbf.keep_out import BodyPart, KeepOut, PlaneFrame, Stance, gaps_m, half_spaces
 from drone_client.cbf.limits import alpha, closing_limit_mps
 from drone_client.cbf.next_step import Hold, checked
 from drone_client.cbf.settings import FilterSettings
 from drone_client.cbf.solve import Solution, solve
+from drone_client.cbf.solve_several import solve_several
 from drone_client.cbf.status import Status
 from drone_client.cbf.variants import Barrier, CuspFunnel, Variant, paper_funnel
 from drone_client.cbf.vector import Vec3
 
 __all__ = [
     "Barrier",
+    "BodyPart",
     "CuspFunnel",
     "FilterInput",
     "FilterSettings",
@@ -28,8 +31,11 @@ __all__ = [
     "Funnel",
     "HalfSpace",
     "Hold",
+    "KeepOut",
+    "PlaneFrame",
     "SafeCommand",
     "Solution",
+    "Stance",
     "Status",
     "Variant",
     "Vec3",
@@ -40,6 +46,9 @@ __all__ = [
     "error_ball_m",
     "filter_command",
     "freshness",
+    "gaps_m",
+    "half_spaces",
     "paper_funnel",
     "solve",
+    "solve_several",
 ]

@@ -12,10 +12,20 @@ from dataclasses import dataclass
 from drone_client.cbf.error_ball import error_ball_m
 from drone_client.cbf.freshness import Freshness, freshness
 from drone_client.cbf.half_space import HalfSpace, build
+from drone_client.cbf.keep_out import (
+    LEVEL,
+    MAX_KEEP_OUTS,
+    KeepOut,
+    Rotation,
+    Stance,
+    half_spaces,
+    is_rotation,
+)
 from drone_client.cbf.limits import alpha, closing_limit_mps
 from drone_client.cbf.next_step import Hold, checked
 from drone_client.cbf.settings import FilterSettings
-from drone_client.cbf.solve import solve
+from drone_client.cbf.solve import Solution, solve
+from drone_client.cbf.solve_several import solve_several
 from drone_client.cbf.status import Status
 from drone_client.cbf.variants import Variant
 from drone_client.cbf.vector import ZERO, Vec3, cross, is_bounded, moved, norm
@@ -48,6 +58,14 @@ class FilterInput:
     """Standard deviation of that measurement along its worst direction."""
     unconfirmed_ns: int = 0
     """How long nobody but the drone itself has seen the target; 0: the edge measured."""
+    keep_outs: tuple[KeepOut, ...] = ()
+    """Planes that the body stays clear of, at most ``MAX_KEEP_OUTS``."""
+    target_from_body: Rotation = LEVEL
+    """Rows of the body's rotation: where its parts are. Counts with ``keep_outs`` alone."""
+    target_from_world: Rotation = LEVEL
+    """Rows of the rotation that takes the world's planes to the target's frame; likewise."""
+    world_origin_target: Vec3 = ZERO
+    """Origin of the world [m]; likewise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,17 +109,30 @@ def filter_command(inp: FilterInput, settings: FilterSettings) -> SafeCommand:
 
     yaw_rate = 0.0
     if p[0] < -settings.depth_max_m or (p[0] < 0.0 and h < 0.0):
-        tip_velocity, status = _back_off(p, settings), Status.ABORT
+        tip_velocity, status = _straight(_back_off(p, settings), inp, hold, settings), Status.ABORT
     elif phase is Freshness.RETREAT:
-        tip_velocity, status = _back_off(p, settings), Status.STALE
+        tip_velocity, status = _straight(_back_off(p, settings), inp, hold, settings), Status.STALE
     elif phase is Freshness.BRAKE:
-        tip_velocity, status = hold.retreat(_blind_limit_mps(settings)), Status.STALE
+        retreat = hold.retreat(_blind_limit_mps(settings))
+        tip_velocity, status = _straight(retreat, inp, hold, settings), Status.STALE
     else:
         tip_velocity, yaw_rate, status = _through_the_funnel(inp, hold, phase, settings)
 
     velocity_body = moved(tip_velocity, _swing_arm(inp), -yaw_rate)
     h_robust = barrier.h(p, delta)
     return SafeCommand(velocity_body, yaw_rate, h, h_robust, status, phase, delta)
+
+
+def _straight(retreat: Vec3, inp: FilterInput, hold: Hold, settings: FilterSettings) -> Vec3:
+    """A way straight out as far as the keep-outs let it go, without turning.
+
+    A body against a second wall is a crash; a tip that waits before the board is not. So the
+    keep-outs have the first word, and no approach the second.
+    """
+    if not inp.keep_outs:
+        return retreat
+    kept_out = _keep_outs(inp, hold, 0.0)
+    return solve_several(retreat, kept_out, (_closing(0.0),), _blind_limit_mps(settings)).u
 
 
 def _through_the_funnel(
@@ -111,30 +142,81 @@ def _through_the_funnel(
     delta_rate = (hold.delta_next_m - hold.delta_m) / hold.period_s
     half_space = build(hold.barrier, hold.p_target, hold.delta_m, delta_rate, hold.alpha)
     yaw_rate = _yaw_rate(inp, half_space, settings)
-    # The body undoes the swing of the tip; what is left of its speed is the tip's.
-    v_max = settings.v_max_mps - abs(yaw_rate) * norm(_swing_arm(inp))
-    nominal = _slowed(inp.velocity_tip_nominal_target, hold, phase, settings)
-    tip_velocity, status = solve(nominal, half_space, v_max)
-    if settings.variant is Variant.SMOOTH:  # the others are shown as the paper has them
-        tip_velocity, halvings = checked(tip_velocity, hold, v_max)
-        if halvings and status is Status.INACTIVE:
-            status = Status.ACTIVE
+    tip_velocity, status = _at_yaw_rate(yaw_rate, inp, hold, half_space, phase, settings)
+    if inp.keep_outs and yaw_rate and status is Status.MAX_HDOT:
+        # It may be the turn that swings a propeller at a wall: the drone does not turn there.
+        yaw_rate = 0.0
+        tip_velocity, status = _at_yaw_rate(yaw_rate, inp, hold, half_space, phase, settings)
     return tip_velocity, yaw_rate, status if phase is Freshness.FRESH else Status.STALE
 
 
-def _slowed(nominal: Vec3, hold: Hold, phase: Freshness, settings: FilterSettings) -> Vec3:
-    """The nominal velocity with its approach limited, and none of it where knowledge is old.
+def _at_yaw_rate(
+    yaw_rate: float,
+    inp: FilterInput,
+    hold: Hold,
+    half_space: HalfSpace,
+    phase: Freshness,
+    settings: FilterSettings,
+) -> Solution:
+    """Tip velocity and status at this yaw rate."""
+    # The body undoes the swing of the tip; what is left of its speed is the tip's.
+    v_max = settings.v_max_mps - abs(yaw_rate) * norm(_swing_arm(inp))
+    limit = _closing_limit_mps(hold, phase, settings)
+    nominal = _slowed(inp.velocity_tip_nominal_target, limit)
+    kept_out = None
+    if inp.keep_outs:
+        planes, closing = _keep_outs(inp, hold, yaw_rate), _closing(limit)
+        tip_velocity, status = solve_several(nominal, planes, (closing, half_space), v_max)
+
+        def kept_out(retreat: Vec3) -> Vec3:
+            return solve_several(retreat, planes, (closing,), v_max).u
+
+    else:
+        tip_velocity, status = solve(nominal, half_space, v_max)
+    if settings.variant is Variant.SMOOTH:  # the others are shown as the paper has them
+        tip_velocity, halvings = checked(tip_velocity, hold, v_max, kept_out)
+        if halvings and status is Status.INACTIVE:
+            status = Status.ACTIVE
+    return Solution(tip_velocity, status)
+
+
+def _keep_outs(inp: FilterInput, hold: Hold, yaw_rate: float) -> list[HalfSpace]:
+    """What the planes ask of the tip's velocity at this yaw rate."""
+    stance = Stance(
+        inp.tip_target,
+        inp.lever_arm_target,
+        inp.up_target,
+        inp.target_from_body,
+        inp.target_from_world,
+        inp.world_origin_target,
+    )
+    delta_rate = (hold.delta_next_m - hold.delta_m) / hold.period_s
+    return half_spaces(inp.keep_outs, stance, hold.delta_m, delta_rate, yaw_rate, hold.period_s)
+
+
+def _closing(limit_mps: float) -> HalfSpace:
+    """The velocities that close in on the board no faster than this.
+
+    Beside keep-outs it must be said: a plane behind the drone pushes towards the board.
+    """
+    return HalfSpace((1.0, 0.0, 0.0), -limit_mps)
+
+
+def _closing_limit_mps(hold: Hold, phase: Freshness, settings: FilterSettings) -> float:
+    """How fast the tip may close in now [m/s]: not at all where knowledge is old."""
+    if phase is not Freshness.FRESH:
+        return 0.0
+    nearest = hold.p_target[0] - hold.delta_m
+    return closing_limit_mps(nearest, settings.touch_mps, settings.brake_mps2, settings.depth_max_m)
+
+
+def _slowed(nominal: Vec3, limit_mps: float) -> Vec3:
+    """The nominal velocity with its approach limited.
 
     Everything after this adds a positive multiple of the gradient, whose x component is one, or
     shortens: the limit holds for the result too (docs/cbf.md, section 7).
     """
-    limit = 0.0
-    if phase is Freshness.FRESH:
-        nearest = hold.p_target[0] - hold.delta_m
-        limit = closing_limit_mps(
-            nearest, settings.touch_mps, settings.brake_mps2, settings.depth_max_m
-        )
-    return max(nominal[0], -limit), nominal[1], nominal[2]
+    return max(nominal[0], -limit_mps), nominal[1], nominal[2]
 
 
 def _yaw_rate(inp: FilterInput, half_space: HalfSpace, settings: FilterSettings) -> float:
@@ -174,4 +256,15 @@ def _is_usable(inp: FilterInput) -> bool:
         and -FARTHEST <= inp.yaw_rate_nominal_radps <= FARTHEST
         and 0.0 <= inp.range_m <= FARTHEST
         and 0.0 <= inp.sigma_m <= FARTHEST
+        and (not inp.keep_outs or _is_placed(inp))
+    )
+
+
+def _is_placed(inp: FilterInput) -> bool:
+    """Whether it can be said where the body's parts and the planes are."""
+    return (
+        len(inp.keep_outs) <= MAX_KEEP_OUTS
+        and is_rotation(inp.target_from_body, UNIT_TOLERANCE)
+        and is_rotation(inp.target_from_world, UNIT_TOLERANCE)
+        and is_bounded(inp.world_origin_target, FARTHEST)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from drone_client.cbf.variants import Barrier
@@ -54,26 +55,39 @@ class Hold(NamedTuple):
         return min(max(needed, 0.0), v_max), 0.0, 0.0
 
 
-def checked(u_target: Vec3, hold: Hold, v_max: float) -> tuple[Vec3, int]:
+def checked(
+    u_target: Vec3, hold: Hold, v_max: float, kept_out: Callable[[Vec3], Vec3] | None = None
+) -> tuple[Vec3, int]:
     """The tip velocity that still meets the barrier at the end of the period.
 
     Halves the distance to the straight retreat until it does, which is plain halving wherever
     standing still is safe. For ``h < 0`` plain halving would be wrong: it slows the recovery.
 
     Args:
-        u_target: Tip velocity that the half-space allows [m/s].
+        u_target: Tip velocity that the half-spaces allow [m/s].
         hold: The period.
         v_max: Speed limit [m/s].
+        kept_out: What the planes that the body stays clear of make of the straight retreat; None:
+            there are none. What lies between two velocities that they allow they allow too. Where
+            the retreat is not enough any more, the best of what was tried is taken.
 
     Returns:
         The velocity and the number of halvings, ``HALVINGS`` meaning the retreat itself.
     """
     required = hold.h_required(v_max) - ROUNDING_M
-    if hold.h_next(u_target) >= required:
+    best, most, halved = u_target, hold.h_next(u_target), 0
+    if most >= required:
         return u_target, 0
     retreat = hold.retreat(v_max)
+    if kept_out is not None:
+        retreat = kept_out(retreat)
     for halvings in range(1, HALVINGS):
         u_target = between(u_target, retreat, 0.5)
-        if hold.h_next(u_target) >= required:
+        h_next = hold.h_next(u_target)
+        if h_next >= required:
             return u_target, halvings
+        if h_next > most:
+            best, most, halved = u_target, h_next, halvings
+    if kept_out is not None and hold.h_next(retreat) < most:
+        return best, halved
     return retreat, HALVINGS

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 from drone_client.cbf.funnel import Funnel
 from drone_client.cbf.variants import Barrier, CuspFunnel, Variant, paper_funnel
@@ -117,6 +118,23 @@ class FilterSettings:
                 f"FilterSettings.variant = {self.variant} is for comparison plots, not for flight: "
                 "set allow_unsafe_variant=True if that is what you do"
             )
+
+    def with_age_max(self, age_max_ns: int) -> Self:
+        """The same with another age up to which the drone may close in.
+
+        The phases after it keep their lengths and begin earlier or later. An age beyond what a
+        drone may fly on (2 s) counts as that bound: the client
+        may well wait for older results, but it does not close in on them.
+        """
+        low, high = _BOUNDS["age_max_ns"]
+        age_max_ns = int(min(max(age_max_ns, low), high))
+        later_ns = age_max_ns - self.age_max_ns
+        return replace(
+            self,
+            age_max_ns=age_max_ns,
+            hold_ns=min(self.hold_ns + later_ns, int(_BOUNDS["hold_ns"][1])),
+            retreat_ns=min(self.retreat_ns + later_ns, int(_BOUNDS["retreat_ns"][1])),
+        )
 
     @property
     def barrier(self) -> Barrier:

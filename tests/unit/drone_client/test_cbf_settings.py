@@ -73,3 +73,20 @@ def test_the_smooth_funnel_is_the_barrier() -> None:
     """By default the barrier is the funnel of the settings."""
     funnel = Funnel(2.0, 0.004, 0.03)
     assert FilterSettings(funnel=funnel).barrier is funnel
+
+
+@pytest.mark.parametrize("age_ms", [50, 300, 800, 2000])
+def test_the_clients_age_moves_all_phases(age_ms) -> None:
+    """The drone closes in up to that age; the phases after it are as long as before."""
+    settings = FilterSettings().with_age_max(age_ms * 1_000_000)
+    assert settings.age_max_ns == age_ms * 1_000_000
+    assert settings.hold_ns - settings.age_max_ns == 300_000_000
+    assert settings.retreat_ns - settings.hold_ns == 900_000_000
+
+
+@pytest.mark.parametrize(("age_ns", "expected_ns"), [(0, 1_000_000), (10**10, 2_000_000_000)])
+def test_no_client_makes_it_fly_on_what_is_older_than_the_bound(age_ns, expected_ns) -> None:
+    """An age out of bounds counts as the bound, also with phases that are long already."""
+    long = FilterSettings(hold_ns=4_900_000_000, retreat_ns=9_900_000_000)
+    assert long.with_age_max(age_ns).age_max_ns == expected_ns
+    assert FilterSettings().with_age_max(age_ns).age_max_ns == expected_ns
