@@ -44,6 +44,19 @@ class RgbdSource(Protocol):
         ...
 
 
+class Recording(RgbdSource, Protocol):
+    """A source on disk, of which parts can be looked at."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What could not be read while it was last played, and why; a line each."""
+        ...
+
+    def some_captures(self, at_most: int) -> Iterator[Capture]:
+        """So many of the captures, spread evenly; the others are not even decoded."""
+        ...
+
+
 class LiveSource(Protocol):
     """A camera that runs now; its time line is the drone's monotonic clock."""
 

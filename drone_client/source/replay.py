@@ -3,6 +3,8 @@
 https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats: each line of the first two is
 ``timestamp filename``, of the last ``timestamp tx ty tz qx qy qz qw``, the pose of the colour
 camera in the world. ``groundtruth.txt`` may be missing: then the drone does not know its pose.
+Colour and depth are listed apart, may differ in number, and are paired by time, each once.
+The camera file says what one unit of depth is: 1/5000 m in TUM's own recordings.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 from drone_client.errors import SourceError
 from drone_client.pose_buffer import PoseBuffer
 from drone_client.source import Capture
+from drone_client.source.pairing import pair_lists
 from rgbd_wire.camera import RgbdCamera, load_camera
 from rgbd_wire.errors import GeometryError
 from rgbd_wire.geometry import Pose
@@ -59,6 +62,11 @@ class ReplaySource:
 
     def __len__(self) -> int:
         return len(self._pairs)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Nothing: what cannot be read of such a recording ends it with an error."""
+        return ()
 
     def captures(self) -> Iterator[Capture]:
         """The captures, oldest first."""
@@ -176,17 +184,12 @@ def _read_list(folder: Path, name: str) -> list[tuple[int, Path]]:
 
 
 def _associate(color: list[tuple[int, Path]], depth: list[tuple[int, Path]]) -> list[_Pair]:
-    """Each colour picture with the depth picture nearest in time, by stamp and never by number."""
-    pairs = []
-    nearest = 0
-    for t_ns, file in color:
-        while nearest + 1 < len(depth) and abs(depth[nearest + 1][0] - t_ns) <= abs(
-            depth[nearest][0] - t_ns
-        ):
-            nearest += 1
-        close = bool(depth) and abs(depth[nearest][0] - t_ns) <= MAX_PAIR_DISTANCE_NS
-        pairs.append(_Pair(t_ns, file, depth[nearest][1] if close else None))
-    return pairs
+    """Each colour picture with its depth picture, by stamp and never by number."""
+    partners = pair_lists([t for t, _ in color], [t for t, _ in depth], MAX_PAIR_DISTANCE_NS)
+    return [
+        _Pair(t_ns, file, None if j is None else depth[j][1])
+        for (t_ns, file), j in zip(color, partners, strict=True)
+    ]
 
 
 def _read_trajectory(path: Path) -> PoseBuffer:
