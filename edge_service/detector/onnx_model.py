@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from edge_service.detector.detector import Model
 from edge_service.detector.grid import SIZE_MULTIPLE_PX, STRIDES
 from edge_service.detector.layouts import (
@@ -12,9 +14,11 @@ from edge_service.detector.layouts import (
     Outputs,
     YoloLayout,
 )
-from edge_service.detector.onnx_file import OnnxFile
 from edge_service.errors import WeightsError
 from target_pose.target import Level
+
+if TYPE_CHECKING:
+    from edge_service.detector.onnx_file import OnnxFile
 
 OUTPUTS = ("logits", "distances")
 """What our export calls its outputs."""
