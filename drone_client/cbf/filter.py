@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from drone_client.cbf.error_ball import error_ball_m
 from drone_client.cbf.freshness import Freshness, freshness
@@ -105,74 +106,78 @@ def filter_command(inp: FilterInput, settings: FilterSettings) -> SafeCommand:
     delta = error_ball_m(inp.age_ns, inp.range_m, inp.sigma_m, settings, alone_ns)
     delta_next = error_ball_m(age_next_ns, inp.range_m, inp.sigma_m, settings, alone_next_ns)
     hold = Hold(barrier, p, delta, delta_next, alpha(p, settings), settings.period_s)
+    tick = _Tick(inp, settings, phase, hold, cross(inp.up_target, inp.lever_arm_target))
     h = barrier.h(p)
 
     yaw_rate = 0.0
     if p[0] < -settings.depth_max_m or (p[0] < 0.0 and h < 0.0):
-        tip_velocity, status = _straight(_back_off(p, settings), inp, hold, settings), Status.ABORT
+        tip_velocity, status = _straight(_back_off(p, settings), tick), Status.ABORT
     elif phase is Freshness.RETREAT:
-        tip_velocity, status = _straight(_back_off(p, settings), inp, hold, settings), Status.STALE
+        tip_velocity, status = _straight(_back_off(p, settings), tick), Status.STALE
     elif phase is Freshness.BRAKE:
         retreat = hold.retreat(_blind_limit_mps(settings))
-        tip_velocity, status = _straight(retreat, inp, hold, settings), Status.STALE
+        tip_velocity, status = _straight(retreat, tick), Status.STALE
     else:
-        tip_velocity, yaw_rate, status = _through_the_funnel(inp, hold, phase, settings)
+        tip_velocity, yaw_rate, status = _through_the_funnel(tick)
 
-    velocity_body = moved(tip_velocity, _swing_arm(inp), -yaw_rate)
+    velocity_body = moved(tip_velocity, tick.swing_arm, -yaw_rate)
     h_robust = barrier.h(p, delta)
     return SafeCommand(velocity_body, yaw_rate, h, h_robust, status, phase, delta)
 
 
-def _straight(retreat: Vec3, inp: FilterInput, hold: Hold, settings: FilterSettings) -> Vec3:
+class _Tick(NamedTuple):
+    """What the steps of one tick share."""
+
+    inp: FilterInput
+    settings: FilterSettings
+    phase: Freshness
+    hold: Hold
+    swing_arm: Vec3
+    """Velocity of the tip per unit of yaw rate, ``up x r`` [m]."""
+
+
+def _straight(retreat: Vec3, tick: _Tick) -> Vec3:
     """A way straight out as far as the keep-outs let it go, without turning.
 
     A body against a second wall is a crash; a tip that waits before the board is not. So the
     keep-outs have the first word, and no approach the second.
     """
-    if not inp.keep_outs:
+    if not tick.inp.keep_outs:
         return retreat
-    kept_out = _keep_outs(inp, hold, 0.0)
-    return solve_several(retreat, kept_out, (_closing(0.0),), _blind_limit_mps(settings)).u
+    limit = _blind_limit_mps(tick.settings)
+    return solve_several(retreat, _keep_outs(tick, 0.0), (_closing(0.0),), limit).u
 
 
-def _through_the_funnel(
-    inp: FilterInput, hold: Hold, phase: Freshness, settings: FilterSettings
-) -> tuple[Vec3, float, Status]:
+def _through_the_funnel(tick: _Tick) -> tuple[Vec3, float, Status]:
     """Tip velocity, yaw rate and status while the target is known well enough to move by it."""
-    delta_rate = (hold.delta_next_m - hold.delta_m) / hold.period_s
-    half_space = build(hold.barrier, hold.p_target, hold.delta_m, delta_rate, hold.alpha)
-    yaw_rate = _yaw_rate(inp, half_space, settings)
-    tip_velocity, status = _at_yaw_rate(yaw_rate, inp, hold, half_space, phase, settings)
-    if inp.keep_outs and yaw_rate and status is Status.MAX_HDOT:
+    hold = tick.hold
+    funnel = build(hold.barrier, hold.p_target, hold.delta_m, hold.delta_rate_mps, hold.alpha)
+    yaw_rate = _yaw_rate(funnel, tick)
+    tip_velocity, status = _at_yaw_rate(yaw_rate, funnel, tick)
+    if tick.inp.keep_outs and yaw_rate and status is Status.MAX_HDOT:
         # It may be the turn that swings a propeller at a wall: the drone does not turn there.
         yaw_rate = 0.0
-        tip_velocity, status = _at_yaw_rate(yaw_rate, inp, hold, half_space, phase, settings)
-    return tip_velocity, yaw_rate, status if phase is Freshness.FRESH else Status.STALE
+        tip_velocity, status = _at_yaw_rate(yaw_rate, funnel, tick)
+    return tip_velocity, yaw_rate, status if tick.phase is Freshness.FRESH else Status.STALE
 
 
-def _at_yaw_rate(
-    yaw_rate: float,
-    inp: FilterInput,
-    hold: Hold,
-    half_space: HalfSpace,
-    phase: Freshness,
-    settings: FilterSettings,
-) -> Solution:
+def _at_yaw_rate(yaw_rate: float, funnel: HalfSpace, tick: _Tick) -> Solution:
     """Tip velocity and status at this yaw rate."""
+    inp, settings, hold = tick.inp, tick.settings, tick.hold
     # The body undoes the swing of the tip; what is left of its speed is the tip's.
-    v_max = settings.v_max_mps - abs(yaw_rate) * norm(_swing_arm(inp))
-    limit = _closing_limit_mps(hold, phase, settings)
+    v_max = settings.v_max_mps - abs(yaw_rate) * norm(tick.swing_arm)
+    limit = _closing_limit_mps(tick)
     nominal = _slowed(inp.velocity_tip_nominal_target, limit)
     kept_out = None
     if inp.keep_outs:
-        planes, closing = _keep_outs(inp, hold, yaw_rate), _closing(limit)
-        tip_velocity, status = solve_several(nominal, planes, (closing, half_space), v_max)
+        planes, closing = _keep_outs(tick, yaw_rate), _closing(limit)
+        tip_velocity, status = solve_several(nominal, planes, (closing, funnel), v_max)
 
         def kept_out(retreat: Vec3) -> Vec3:
             return solve_several(retreat, planes, (closing,), v_max).u
 
     else:
-        tip_velocity, status = solve(nominal, half_space, v_max)
+        tip_velocity, status = solve(nominal, funnel, v_max)
     if settings.variant is Variant.SMOOTH:  # the others are shown as the paper has them
         tip_velocity, halvings = checked(tip_velocity, hold, v_max, kept_out)
         if halvings and status is Status.INACTIVE:
@@ -180,8 +185,9 @@ def _at_yaw_rate(
     return Solution(tip_velocity, status)
 
 
-def _keep_outs(inp: FilterInput, hold: Hold, yaw_rate: float) -> list[HalfSpace]:
+def _keep_outs(tick: _Tick, yaw_rate: float) -> list[HalfSpace]:
     """What the planes ask of the tip's velocity at this yaw rate."""
+    inp, hold = tick.inp, tick.hold
     stance = Stance(
         inp.tip_target,
         inp.lever_arm_target,
@@ -190,8 +196,9 @@ def _keep_outs(inp: FilterInput, hold: Hold, yaw_rate: float) -> list[HalfSpace]
         inp.target_from_world,
         inp.world_origin_target,
     )
-    delta_rate = (hold.delta_next_m - hold.delta_m) / hold.period_s
-    return half_spaces(inp.keep_outs, stance, hold.delta_m, delta_rate, yaw_rate, hold.period_s)
+    return half_spaces(
+        inp.keep_outs, stance, hold.delta_m, hold.delta_rate_mps, yaw_rate, hold.period_s
+    )
 
 
 def _closing(limit_mps: float) -> HalfSpace:
@@ -202,10 +209,11 @@ def _closing(limit_mps: float) -> HalfSpace:
     return HalfSpace((1.0, 0.0, 0.0), -limit_mps)
 
 
-def _closing_limit_mps(hold: Hold, phase: Freshness, settings: FilterSettings) -> float:
+def _closing_limit_mps(tick: _Tick) -> float:
     """How fast the tip may close in now [m/s]: not at all where knowledge is old."""
-    if phase is not Freshness.FRESH:
+    if tick.phase is not Freshness.FRESH:
         return 0.0
+    hold, settings = tick.hold, tick.settings
     nearest = hold.p_target[0] - hold.delta_m
     return closing_limit_mps(nearest, settings.touch_mps, settings.brake_mps2, settings.depth_max_m)
 
@@ -219,20 +227,16 @@ def _slowed(nominal: Vec3, limit_mps: float) -> Vec3:
     return max(nominal[0], -limit_mps), nominal[1], nominal[2]
 
 
-def _yaw_rate(inp: FilterInput, half_space: HalfSpace, settings: FilterSettings) -> float:
+def _yaw_rate(funnel: HalfSpace, tick: _Tick) -> float:
     """The yaw rate [rad/s] that leaves the tip the speed which the funnel asks of it."""
-    v_max, arm = settings.v_max_mps, norm(_swing_arm(inp))
-    needed = half_space.offset / norm(half_space.normal)
+    settings = tick.settings
+    v_max, arm = settings.v_max_mps, norm(tick.swing_arm)
+    needed = funnel.offset / norm(funnel.normal)
     swing = max(0.0, min(settings.yaw_speed_share * v_max, v_max - needed))
     limit = settings.yaw_rate_max_radps
     if arm * limit > swing:
         limit = swing / arm
-    return min(max(inp.yaw_rate_nominal_radps, -limit), limit)
-
-
-def _swing_arm(inp: FilterInput) -> Vec3:
-    """Velocity of the tip per unit of yaw rate, ``up x r`` [m]."""
-    return cross(inp.up_target, inp.lever_arm_target)
+    return min(max(tick.inp.yaw_rate_nominal_radps, -limit), limit)
 
 
 def _blind_limit_mps(settings: FilterSettings) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from drone_client.cbf.vector import Vec3
 
@@ -29,6 +29,8 @@ class Funnel:
     """Rounding of the tip [m]; bounds the gradient, and defines it on the axis."""
     r_c_m: float = 0.020
     """Radius of the mouth in the plane of the board [m]: contact is allowed inside it."""
+    _shift: float = field(init=False, repr=False, compare=False, default=0.0)
+    """``sqrt(s_c)``: the same at every tick."""
 
     def __post_init__(self) -> None:
         for name, value, low, high in (
@@ -38,6 +40,7 @@ class Funnel:
         ):
             if not low <= value <= high:
                 raise ValueError(f"Funnel.{name} = {value} is not in [{low}, {high}]")
+        object.__setattr__(self, "_shift", math.sqrt(math.hypot(self.r_c_m, self.e_m)))
 
     def h(self, p_target: Vec3, delta_m: float = 0.0) -> float:
         """Value of the barrier [m]; at least zero inside.
@@ -48,8 +51,7 @@ class Funnel:
         """
         x, y, z = p_target
         s = math.hypot(y, z, self.e_m)
-        s_c = math.hypot(self.r_c_m, self.e_m)
-        return x - delta_m - self.a * (math.sqrt(s + delta_m) - math.sqrt(s_c))
+        return x - delta_m - self.a * (math.sqrt(s + delta_m) - self._shift)
 
     def gradient(self, p_target: Vec3, delta_m: float = 0.0) -> Vec3:
         """Gradient of ``h`` with respect to the tip, dimensionless; its x component is one."""

@@ -29,6 +29,11 @@ class Hold(NamedTuple):
     period_s: float
     """Length of the hold [s]; ``alpha period_s <= 1``."""
 
+    @property
+    def delta_rate_mps(self) -> float:
+        """How fast the error ball grows over the period."""
+        return (self.delta_next_m - self.delta_m) / self.period_s
+
     def h_next(self, u_target: Vec3) -> float:
         """Barrier at the end of the period for the tip velocity ``u_target`` [m/s]."""
         p_next = moved(self.p_target, u_target, self.period_s)
@@ -40,9 +45,12 @@ class Hold(NamedTuple):
         ``(1 - alpha T) h``, or where that is out of reach as much as the straight retreat gives.
         """
         h_still = self.barrier.h(self.p_target, self.delta_next_m)
+        return min(self.h_decayed(), h_still + self.period_s * v_max)
+
+    def h_decayed(self) -> float:
+        """``(1 - alpha T) h`` [m]."""
         h_now = self.barrier.h(self.p_target, self.delta_m)
-        decayed = (1.0 - self.alpha * self.period_s) * h_now
-        return min(decayed, h_still + self.period_s * v_max)
+        return (1.0 - self.alpha * self.period_s) * h_now
 
     def retreat(self, v_max: float) -> Vec3:
         """The slowest velocity straight out along +x that meets ``h_required`` [m/s].
@@ -74,8 +82,10 @@ def checked(
     Returns:
         The velocity and the number of halvings, ``HALVINGS`` meaning the retreat itself.
     """
-    required = hold.h_required(v_max) - ROUNDING_M
     best, most, halved = u_target, hold.h_next(u_target), 0
+    if most >= hold.h_decayed() - ROUNDING_M:  # nearly always, and never less than required
+        return u_target, 0
+    required = hold.h_required(v_max) - ROUNDING_M
     if most >= required:
         return u_target, 0
     retreat = hold.retreat(v_max)
