@@ -49,7 +49,7 @@ class Assembler:
     """Maps stamps to the drone's clock and pairs by them; not thread-safe, bounded.
 
     Pairs are found on the device's own clock, where both sensors' stamps are exact, and the pair's
-    colour is mapped to the drone's.
+    colour is mapped to the drone's. Captures' times go forward.
     """
 
     def __init__(self, how: Assembling, name: str) -> None:
@@ -58,6 +58,8 @@ class Assembler:
         self._name = name
         self._number = 0
         self._pairer = self._new_pairer()
+        self._last_ns: int | None = None
+        self._backwards = 0
         self._paired_before = 0
         self._unpaired_before: dict[str, int] = {}
 
@@ -72,19 +74,19 @@ class Assembler:
             t_arrival_ns: drone's clock.
             rgb: (H, W, 3).
         """
-        t_ns, out = self._see(stamp_ticks, since_middle_ns, t_arrival_ns)
-        if t_ns is not None:
-            out += self._captures(self._pairer.add_color(t_ns, _Arrived(rgb, t_arrival_ns)))
-        return out
+        t_ns = self._see(stamp_ticks, since_middle_ns, t_arrival_ns)
+        arrived = _Arrived(rgb, t_arrival_ns)
+        pairs = [] if t_ns is None else self._pairer.add_color(t_ns, arrived)
+        return self._captures(pairs + self._overdue(t_arrival_ns))
 
     def depth(
         self, stamp_ticks: int, since_middle_ns: int, t_arrival_ns: int, units: NDArray[np.uint16]
     ) -> list[Capture]:
         """A depth picture (h, w) has come; as ``color``."""
-        t_ns, out = self._see(stamp_ticks, since_middle_ns, t_arrival_ns)
-        if t_ns is not None:
-            out += self._captures(self._pairer.add_depth(t_ns, _Arrived(units, t_arrival_ns)))
-        return out
+        t_ns = self._see(stamp_ticks, since_middle_ns, t_arrival_ns)
+        arrived = _Arrived(units, t_arrival_ns)
+        pairs = [] if t_ns is None else self._pairer.add_depth(t_ns, arrived)
+        return self._captures(pairs + self._overdue(t_arrival_ns))
 
     def restart(self) -> list[Capture]:
         """The camera was opened anew: what waits goes out, and its clock may have any zero."""
@@ -101,27 +103,33 @@ class Assembler:
         return {
             "paired": self._paired_before + self._pairer.paired,
             **counts,
+            "backwards": self._backwards,
             "odd_stamps": self.clock.odd,
             "clock_jumps": self.clock.jumps,
         }
 
-    def _see(
-        self, stamp_ticks: int, since_middle_ns: int, t_arrival_ns: int
-    ) -> tuple[int | None, list[Capture]]:
-        """Middle of the exposure on the device's clock, None if odd, and what is overdue."""
+    def _see(self, stamp_ticks: int, since_middle_ns: int, t_arrival_ns: int) -> int | None:
+        """Middle of the exposure on the device's clock; None: not known."""
         stamp = self.clock.see(stamp_ticks, t_arrival_ns)
         if stamp.jumped:
             # What still waits is over a second old by now, on a clock that is gone
             self._begin_anew()
-            return stamp.t_device_ns - since_middle_ns, []
-        overdue_ns = self.clock.device_from_drone_ns(t_arrival_ns - self._how.wait_ns)
-        out = [] if overdue_ns is None else self._captures(self._pairer.release(overdue_ns))
-        return None if stamp.odd else stamp.t_device_ns - since_middle_ns, out
+        return None if stamp.odd else stamp.t_device_ns - since_middle_ns
+
+    def _overdue(self, t_arrival_ns: int) -> list[Pair[_Arrived, _Arrived]]:
+        """What has waited long enough, after a partner that has just come was given its chance."""
+        before_ns = self.clock.device_from_drone_ns(t_arrival_ns - self._how.wait_ns)
+        return [] if before_ns is None else self._pairer.release(before_ns)
 
     def _captures(self, pairs: Iterable[Pair[_Arrived, _Arrived]]) -> list[Capture]:
         out = []
         for pair in pairs:
             t_ns = self.clock.drone_from_device_ns(pair.t_color_ns, pair.color.t_arrival_ns)
+            if self._last_ns is not None and t_ns <= self._last_ns:
+                # The first pictures came late, and the clock's offset is better known by now
+                self._backwards += 1
+                continue
+            self._last_ns = t_ns
             depth = None if pair.depth is None else pair.depth.picture
             out.append(Capture(t_ns, pair.color.picture, depth, f"{self._name}-{self._number}"))
             self._number += 1

@@ -64,8 +64,8 @@ class Pairer(Generic[C, D]):
         Args:
             tolerance_ns: two pictures further apart are not of one exposure.
             spacing_ns: least time between two pictures of one stream. If it is over two
-                tolerances, pairs go out with no delay; where it turns out smaller, a better
-                partner may come too late, and nothing worse.
+                tolerances, two that find each other go out at once; where it turns out smaller,
+                a better partner may come too late, and nothing worse.
             capacity: pictures of one stream that wait at most.
         """
         if tolerance_ns < 0 or spacing_ns < 1 or capacity < 1:
@@ -152,7 +152,12 @@ class Pairer(Generic[C, D]):
                 n_depths += 1
 
     def _is_closed(self, n_colors: int, n_depths: int) -> bool:
-        """Whether nothing that may still come reaches a member of the group."""
+        """Whether nothing that may still come reaches a member of the group.
+
+        Two that found each other rely on the stated spacing. One that is alone goes alone only
+        when the other stream has passed it: a camera may be faster for once than it says.
+        """
+        spacing_ns = self._spacing_ns if n_colors == n_depths == 1 else 1
 
         def out_of_reach(
             queue: Sequence[tuple[int, object]], n: int, newest_ns: int | None
@@ -161,7 +166,7 @@ class Pairer(Generic[C, D]):
                 return True
             if newest_ns is None:
                 return False
-            return queue[n - 1][0] + self._tolerance_ns < newest_ns + self._spacing_ns
+            return queue[n - 1][0] + self._tolerance_ns < newest_ns + spacing_ns
 
         return out_of_reach(self._colors, n_colors, self._newest_depth_ns) and out_of_reach(
             self._depths, n_depths, self._newest_color_ns

@@ -80,6 +80,7 @@ def test_what_waits_goes_out_before_a_new_start():
     assert assembler.counts() == {
         "paired": 6,
         "color_no_partner": 1,
+        "backwards": 0,
         "odd_stamps": 0,
         "clock_jumps": 0,
     }
@@ -91,3 +92,19 @@ def test_a_dead_depth_sensor_delays_colour_by_two_periods_at_most():
     out = feed(assembler, 0, 0, 30, depth_too=False)
     assert len(out) == 28
     assert all(c.depth_units is None for c in out)
+
+
+def test_times_go_forward_while_the_clock_is_being_learnt():
+    """The first pictures took 150 ms, as they do while a camera starts, the next ones 4 ms."""
+    assembler = Assembler(HOW, "cam")
+    out = []
+    for n in range(12):
+        true_ns = SECOND + n * PERIOD_NS
+        arrival_ns = max(true_ns + WAY_NS, SECOND + 150 * MS)
+        out += assembler.color(true_ns // 1000, 0, arrival_ns, RGB)
+        out += assembler.depth(true_ns // 1000, 0, arrival_ns, UNITS)
+    times = [c.t_source_ns for c in out]
+    assert all(a < b for a, b in pairwise(times))
+    assert abs(times[-1] - (SECOND + 11 * PERIOD_NS)) < WAY_NS + MS
+    assert assembler.counts()["backwards"] + len(out) == 12
+    assert assembler.counts()["backwards"] > 0

@@ -95,6 +95,16 @@ def test_a_pair_goes_out_as_soon_as_both_are_there():
     assert (pair.color, pair.depth) == ("c1", "d1")
 
 
+def test_a_camera_that_is_faster_than_it_says_still_pairs():
+    """Said to be at 30 Hz, it gives 200: every colour finds the depth that comes right after it."""
+    pairer: Pairer[int, int] = Pairer(15 * MS, 32 * MS)
+    out = []
+    for n in range(20):
+        out += pairer.add_color(5 * MS * n, n)
+        out += pairer.add_depth(5 * MS * n, n)
+    assert [p.depth for p in out] == [p.color for p in out] == list(range(20))
+
+
 def test_numbers_mean_nothing():
     """A depth frame is lost: the colours after it still get their own."""
     pairs = pair_lists([0, 33, 66, 99], [2, 68, 101], 10)
