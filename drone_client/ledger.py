@@ -1,22 +1,21 @@
 """The ledger: one JSON line for each captured frame, whatever became of it.
 
-A line is written when the frame's fate is known and flushed at once, so that a killed client
+A line is written as soon as the frame's fate is known (``line_writer``), so that a killed client
 leaves a ledger whose every line is whole. The frames that nobody answered are in it as well: what
 is missing tells as much as what came.
 """
 
 from __future__ import annotations
 
-import json
-import math
 import threading
 from collections import Counter
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final, TextIO
+from typing import Any, Final
 
 from drone_client.errors import OutputError
+from drone_client.line_writer import LineWriter
 
 LEDGER_NAME: Final = "ledger.jsonl"
 EVENTS_NAME: Final = "events.jsonl"
@@ -68,13 +67,11 @@ class Ledger:
     """
 
     def __init__(self, folder: Path, *, overwrite: bool = False, own_eyes: bool = False) -> None:
-        self.lost_lines = 0
         self.fates: Counter[Fate] = Counter()
         self.settled = threading.Event()
         """Set whenever a frame's fate becomes known; lockstep playback waits for it."""
         self._lock = threading.Lock()
         self._open: dict[int, FrameEntry] = {}
-        self._files: dict[str, TextIO] = {}
         try:
             folder.mkdir(parents=True, exist_ok=True)
             earlier = folder / LEDGER_NAME
@@ -87,12 +84,10 @@ class Ledger:
                 names.append(ONBOARD_NAME)
             else:
                 (folder / ONBOARD_NAME).unlink(missing_ok=True)  # of an earlier run
-            for name in names:
-                self._files[name] = (folder / name).open("w", encoding="utf-8")
+            self._writer = LineWriter({name: folder / name for name in names})
         except FileExistsError:
             raise OutputError(f"folder {folder}: there is a file of that name") from None
         except OSError as error:
-            self.close()
             raise OutputError(f"folder {folder}: {error.strerror}") from None
 
     def captured(self, entry: FrameEntry) -> None:
@@ -140,6 +135,11 @@ class Ledger:
             return len(late)
 
     @property
+    def lost_lines(self) -> int:
+        """Lines that the disk did not take."""
+        return self._writer.lost
+
+    @property
     def under_way(self) -> int:
         """Frames without a line yet."""
         with self._lock:
@@ -147,18 +147,15 @@ class Ledger:
 
     def event(self, t_ns: int, event: str, **details: Any) -> None:
         """Something that happened to the run, not to a frame."""
-        with self._lock:
-            self._write(EVENTS_NAME, {"t_ns": t_ns, "event": event, **details})
+        self._writer.put(EVENTS_NAME, {"t_ns": t_ns, "event": event, **details})
 
     def tick(self, line: dict[str, Any]) -> None:
         """One control tick."""
-        with self._lock:
-            self._write(TICKS_NAME, line)
+        self._writer.put(TICKS_NAME, line)
 
     def look(self, line: dict[str, Any]) -> None:
         """One frame that the drone looked at, or would have, by itself."""
-        with self._lock:
-            self._write(ONBOARD_NAME, line)
+        self._writer.put(ONBOARD_NAME, line)
 
     def close(self) -> None:
         """Give every open frame its line, and close the files."""
@@ -166,12 +163,7 @@ class Ledger:
             for entry in self._open.values():
                 self._write_frame(entry, Fate.INTERRUPTED, {})
             self._open.clear()
-            for file in self._files.values():
-                try:
-                    file.close()
-                except OSError:
-                    self.lost_lines += 1
-            self._files.clear()
+        self._writer.close()
 
     def _write_frame(self, entry: FrameEntry, fate: Fate, details: dict[str, Any]) -> None:
         self.fates[fate] += 1
@@ -185,35 +177,5 @@ class Ledger:
             "t_capture_ns": entry.t_capture_ns,
             "t1_ns": entry.t1_ns,
         }
-        self._write(LEDGER_NAME, line | details)
+        self._writer.put(LEDGER_NAME, line | details)
         self.settled.set()
-
-    def _write(self, name: str, line: dict[str, Any]) -> None:
-        file = self._files.get(name)
-        if file is None:
-            return
-        try:
-            file.write(_json_line(line))
-            if name != TICKS_NAME:
-                file.flush()
-        except OSError:
-            self.lost_lines += 1
-
-
-def _json_line(line: dict[str, Any]) -> str:
-    try:
-        return json.dumps(line, allow_nan=False) + "\n"
-    except ValueError:  # JSON knows no NaN; the frame keeps its line
-        return json.dumps(_with_null_for_nan(line), allow_nan=False) + "\n"
-
-
-def _with_null_for_nan(value: Any) -> Any:
-    match value:
-        case float():
-            return value if math.isfinite(value) else None
-        case dict():
-            return {key: _with_null_for_nan(v) for key, v in value.items()}
-        case list() | tuple():
-            return [_with_null_for_nan(v) for v in value]
-        case _:
-            return value

@@ -283,8 +283,8 @@ def test_every_worker_is_probed(pair):
 def test_stop_ends_the_thread_whatever_it_waits_for(tmp_path):
     """Idle, or with the window full and a frame waiting: the thread is gone, the frame told."""
     for waiting, folder in ((False, tmp_path / "idle"), (True, tmp_path / "full")):
-        before = set(threading.enumerate())
         rig = Rig(folder, window=1)
+        before = set(threading.enumerate())
         rig.uplink.start()
         if waiting:
             rig.submit_and_send()
