@@ -215,7 +215,13 @@ def _closing_limit_mps(tick: _Tick) -> float:
         return 0.0
     hold, settings = tick.hold, tick.settings
     nearest = hold.p_target[0] - hold.delta_m
-    return closing_limit_mps(nearest, settings.touch_mps, settings.brake_mps2, settings.depth_max_m)
+    return closing_limit_mps(
+        nearest,
+        settings.touch_mps,
+        settings.brake_mps2,
+        settings.depth_max_m,
+        settings.command_lag_s,
+    )
 
 
 def _slowed(nominal: Vec3, limit_mps: float) -> Vec3:

@@ -8,16 +8,21 @@ from drone_client.cbf.settings import FilterSettings
 from drone_client.cbf.vector import Vec3, norm
 
 
-def closing_limit_mps(x_m: float, touch_mps: float, brake_mps2: float, depth_m: float) -> float:
-    """Largest speed towards the board [m/s] at the distance ``x_m`` from it [m].
+def closing_limit_mps(
+    x_m: float, touch_mps: float, brake_mps2: float, depth_m: float, lag_s: float = 0.0
+) -> float:
+    """Largest commanded speed towards the board [m/s] at the distance ``x_m`` from it [m].
 
     In front of the board, the speed from which braking at ``brake_mps2`` leaves ``touch_mps`` at
-    the touch (``v^2 = v_0^2 + 2 a x``); behind it, linear down to zero at ``depth_m``, which makes
-    ``x >= -depth_m`` a set that the tip cannot leave (docs/cbf.md, section 7).
+    the touch (``v^2 = v_0^2 + 2 a x``), less what a vehicle that follows its command ``lag_s``
+    late has not braked yet (``a lag``): it is then itself no faster than that profile. Behind the
+    board, linear down to zero at ``depth_m``, which makes ``x >= -depth_m`` a set that the tip
+    cannot leave (docs/cbf.md, section 7).
     """
+    late_mps = brake_mps2 * lag_s
     if x_m >= 0.0:
-        return math.sqrt(touch_mps * touch_mps + 2.0 * brake_mps2 * x_m)
-    return touch_mps * max(0.0, 1.0 + x_m / depth_m)
+        return max(0.0, math.sqrt(touch_mps * touch_mps + 2.0 * brake_mps2 * x_m) - late_mps)
+    return max(0.0, touch_mps - late_mps) * max(0.0, 1.0 + x_m / depth_m)
 
 
 def alpha(p_target: Vec3, settings: FilterSettings) -> float:

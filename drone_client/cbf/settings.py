@@ -14,6 +14,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "yaw_speed_share": (0.0, 0.5),
     "touch_mps": (0.005, 0.2),
     "brake_mps2": (0.05, 3.0),
+    "lag_s": (0.0, 1.0),
     "depth_max_m": (0.02, 0.1),
     "alpha_near": (0.1, 5.0),
     "alpha_far": (0.1, 5.0),
@@ -53,8 +54,11 @@ class FilterSettings:
     """Share of ``v_max_mps`` that may go into undoing the tip's swing when the body yaws."""
     touch_mps: float = 0.08
     """Largest closing speed of the tip when it touches."""
-    brake_mps2: float = 0.3
+    brake_mps2: float = 0.1
     """Deceleration that the closing speed in front of the board is made for."""
+    lag_s: float = 0.3
+    """Time in which the vehicle follows a velocity: the closing speed is commanded so much
+    earlier."""
     depth_max_m: float = 0.04
     """How far the unloaded tip may go behind the board's plane: what the arm can give way."""
 
@@ -113,11 +117,22 @@ class FilterSettings:
                 raise ValueError(
                     f"FilterSettings.{smaller} = {low} must be less than {larger} = {high}"
                 )
+        if self.touch_mps <= self.brake_mps2 * self.command_lag_s:
+            raise ValueError(
+                f"FilterSettings.touch_mps = {self.touch_mps} must exceed brake_mps2 (lag_s + "
+                f"period_s) = {self.brake_mps2 * self.command_lag_s:.3g}: nothing would be left to "
+                "command at the touch; brake more gently"
+            )
         if self.variant is not Variant.SMOOTH and not self.allow_unsafe_variant:
             raise ValueError(
                 f"FilterSettings.variant = {self.variant} is for comparison plots, not for flight: "
                 "set allow_unsafe_variant=True if that is what you do"
             )
+
+    @property
+    def command_lag_s(self) -> float:
+        """The vehicle's lag, and the period for which a command is held."""
+        return self.lag_s + self.period_s
 
     def with_age_max(self, age_max_ns: int) -> Self:
         """The same with another age up to which the drone may close in.

@@ -243,7 +243,7 @@ def test_a_hundred_thousand_random_states_get_a_safe_command() -> None:
         assert abs(yaw_rate) <= SETTINGS.yaw_rate_max_radps
         tip = (vx - yaw_rate * ay, vy + yaw_rate * ax, vz)
         x, y, z = inp.tip_target
-        assert tip[0] >= -closing_limit_mps(x - command.delta_m, 0.08, 0.3, 0.04) - 1e-12
+        assert tip[0] >= -closing_limit_mps(x - command.delta_m, 0.08, 0.1, 0.04, 0.32) - 1e-12
         after = (x + period * tip[0], y + period * tip[1], z + period * tip[2])
         if command.h_robust >= 0:
             worst = min(worst, funnel.h(after, command.delta_m))

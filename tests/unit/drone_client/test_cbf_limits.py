@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -46,6 +47,22 @@ def test_a_tip_at_the_limit_never_passes_full_depth() -> None:
         x = x_next
     assert x == pytest.approx(-0.04, abs=1e-6)
     assert x >= -0.04
+
+
+@pytest.mark.parametrize("lag_s", [0.1, 0.2, 0.3])
+@pytest.mark.parametrize("start_m", [0.05, 0.3, 3.0])
+def test_a_vehicle_that_follows_late_still_touches_gently(lag_s, start_m) -> None:
+    """Told to close in as fast as allowed, a vehicle with a lag is no faster than the profile."""
+    period_s, x, v = 0.02, start_m, 0.0
+    follow = 1.0 - math.exp(-period_s / lag_s)
+    while x > 0.0:
+        v += follow * (min(1.0, closing_limit_mps(x, 0.08, 0.1, 0.04, lag_s + period_s)) - v)
+        x -= period_s * v
+        assert v <= math.sqrt(0.08**2 + 0.2 * max(x, 0.0)) + 1e-12
+    for _ in range(2_000):
+        v += follow * (closing_limit_mps(x, 0.08, 0.1, 0.04, lag_s + period_s) - v)
+        x -= period_s * v
+        assert x >= -0.0401  # a late vehicle passes what it creeps up to by a tenth of a millimetre
 
 
 def test_alpha_is_small_near_and_large_far() -> None:

@@ -54,6 +54,13 @@ def test_what_must_be_in_order_is(smaller, larger) -> None:
         FilterSettings(**smaller)
 
 
+def test_a_vehicle_must_be_able_to_brake_for_the_touch() -> None:
+    """Braking so hard that a late vehicle would still be too fast is refused, with its reason."""
+    with pytest.raises(ValueError, match=r"touch_mps = 0\.08 must exceed .* = 0\.096"):
+        FilterSettings(brake_mps2=0.3)
+    assert FilterSettings(brake_mps2=0.3, lag_s=0.1).command_lag_s == pytest.approx(0.12)
+
+
 def test_one_gain_for_near_and_far_is_allowed() -> None:
     """The schedule may be switched off by equal gains."""
     assert FilterSettings(alpha_near=1.0, alpha_far=1.0).alpha_far == 1.0
