@@ -32,6 +32,7 @@ from rgbd_wire.geometry import Pose
 MAX_PAIR_DISTANCE_NS: Final = 20_000_000
 """As for recordings in the TUM layout."""
 MAX_REASONS: Final = 20
+SDK_MARK: Final = "/device_0/info"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,11 @@ class BagSource:
             options: topics.
         """
         options = BagOptions() if options is None else options
+        if SDK_MARK in file.topics:
+            raise SourceError(
+                f"bag {name}: of the RealSense SDK, whose headers hold no stamps of the camera; "
+                f"turn it into a recording: drone-client record OUT --source realsense:{name}"
+            )
         self._file = file
         try:
             self._topics = choose_topics(

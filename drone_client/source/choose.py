@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from drone_client.source.realsense_setup import RealsenseSettings
 
 REALSENSE: Final = "realsense"
+SDK_FILES: Final = (".bag", ".db3")
 KNOWN: Final = (
     "a folder in TUM RGB-D layout (rgb.txt), a ROS 2 bag (folder or .db3), an .mcap, "
     "a ROS 1 .bag, or realsense[:SERIAL]"
@@ -39,7 +41,7 @@ def open_source(
 ) -> Recording | LiveSource:
     """Whatever a user names; raises as ``open_recorded`` and ``open_live``."""
     if is_live(text):
-        return open_live(text, clock, settings)
+        return open_live(text, clock, settings, camera)
     return open_recorded(text, camera, airframe, options)
 
 
@@ -86,27 +88,37 @@ def open_recorded(
         ) from None
 
 
-def open_live(text: str, clock: Clock, settings: RealsenseSettings | None = None) -> LiveSource:
+def open_live(
+    text: str,
+    clock: Clock,
+    settings: RealsenseSettings | None = None,
+    camera: Path | None = None,
+) -> LiveSource:
     """A camera, which is not started yet.
 
     Args:
-        text: ``realsense``, or ``realsense:SERIAL`` where there are several.
+        text: ``realsense``, ``realsense:SERIAL`` where there are several, or ``realsense:FILE``, a
+            recording of the RealSense SDK that it plays as if it happened now.
         clock: the drone's.
         settings: what it is asked for; a serial in ``text`` goes before theirs.
+        camera: camera JSON that stands in for what the camera says of itself.
 
     Raises:
         SourceError: no camera that is known, or its SDK is not installed.
+        CameraFileError: the camera file is missing or wrong.
     """
-    from dataclasses import replace
-
-    from drone_client.source.realsense import RealsenseSource
+    from drone_client.source.realsense import RealsenseSource, play_file
     from drone_client.source.realsense_setup import RealsenseSettings
 
-    kind, _, serial = text.partition(":")
+    kind, _, which = text.partition(":")
     if kind != REALSENSE:
         raise SourceError(f"{text}: no camera that is known; try realsense or realsense:SERIAL")
     asked = RealsenseSettings() if settings is None else settings
-    return RealsenseSource(replace(asked, serial=serial or asked.serial), clock)
+    if camera is not None:
+        asked = replace(asked, camera=load_camera(camera))
+    if Path(which).suffix in SDK_FILES:
+        return play_file(Path(which), asked, clock)
+    return RealsenseSource(replace(asked, serial=which or asked.serial), clock)
 
 
 def _bag_file(path: Path) -> BagFile | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -34,6 +35,34 @@ MAX_EXPOSURE_US: Final = 200_000
 _RETRY_S: Final = 0.5
 
 
+def play_file(path: Path, settings: RealsenseSettings, clock: Clock) -> RealsenseSource:
+    """A recording of the RealSense SDK (.bag, .db3), played by the SDK as if it happened now.
+
+    Raises:
+        SourceError: the SDK is not installed.
+    """
+
+    def find() -> Any:
+        try:
+            return load_sdk().context().load_device(str(path))
+        except RuntimeError as error:
+            raise SourceError(f"{path}: not to be played by the RealSense SDK: {error}") from None
+
+    return RealsenseSource(settings, clock, find, ends=True)
+
+
+def _fitting(camera: RgbdCamera, told: RgbdCamera) -> RgbdCamera:
+    """A user's camera in place of the told one, whose pictures have the same sizes."""
+    for name in ("color", "depth"):
+        own, device = getattr(camera, name), getattr(told, name)
+        if (own.width, own.height) != (device.width, device.height):
+            raise SourceError(
+                f"the camera file is of {name} pictures of {own.width}x{own.height}, "
+                f"the camera gives {device.width}x{device.height}"
+            )
+    return camera
+
+
 class RealsenseSource:
     """A D4xx as a ``LiveSource``; captures are taken by one thread.
 
@@ -46,6 +75,8 @@ class RealsenseSource:
         settings: RealsenseSettings,
         clock: Clock,
         find: Callable[[], Any] | None = None,
+        *,
+        ends: bool = False,
     ) -> None:
         """Nothing is opened yet.
 
@@ -53,12 +84,16 @@ class RealsenseSource:
             settings: what is asked for.
             clock: the drone's.
             find: gives the device, an ``rs.device``; without it the one that is plugged in.
+            ends: a silence is the end, and nothing is opened anew: a file that is played.
         """
         self._sdk = load_sdk()
         self._settings = settings
         self._clock = clock
         self._find = self._plugged_in if find is None else find
+        self._ends = ends
         self._camera: RgbdCamera | None = None
+        self._told: RgbdCamera | None = None
+        """By the first device that was opened."""
         self._sensors: list[Any] = []
         self._lock = threading.Lock()
         """Of assembler, counts and last numbers: the SDK calls from a thread per sensor."""
@@ -168,15 +203,16 @@ class RealsenseSource:
         baseline_mm = 0.0
         if depth_sensor.supports(rs.option.stereo_baseline):
             baseline_mm = abs(depth_sensor.get_option(rs.option.stereo_baseline))
-        camera = camera_of_profiles(
+        told = camera_of_profiles(
             color[1],
             depth[1],
             float(depth_sensor.get_option(rs.option.depth_units)),
             baseline_mm / 1e3,
         )
-        if self._camera is not None and camera.to_json() != self._camera.to_json():
+        if self._told is not None and told.to_json() != self._told.to_json():
             raise SourceError("another camera was plugged in: its calibration is not the first's")
-        self._camera = camera
+        self._told = told
+        self._camera = told if settings.camera is None else _fitting(settings.camera, told)
         with self._lock:
             self._last_color_ns = self._clock.now_ns()
             self._last_numbers.clear()
@@ -255,6 +291,10 @@ class RealsenseSource:
 
     def _came_back(self) -> bool:
         self._close()
+        if self._ends:
+            self._stopping.set()
+            self._newest.close()
+            return False
         give_up_ns = self._clock.now_ns() + round(self._settings.reconnect_s * 1e9)
         while True:
             try:

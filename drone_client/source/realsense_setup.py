@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from drone_client.errors import SourceError
+from rgbd_wire.camera import RgbdCamera
 
 MAX_LISTED_MODES: Final = 12
 
@@ -27,6 +28,8 @@ class RealsenseSettings:
     laser_power_mw: float | None = None
     preset: str | None = None
     """Of the depth sensor by its name, such as "High Accuracy"."""
+    camera: RgbdCamera | None = None
+    """Stands in for what the camera says of itself."""
     silence_s: float = 1.0
     """No colour picture for so long: the camera is taken for gone."""
     reconnect_s: float = 10.0

@@ -22,8 +22,16 @@ from rgbd_wire.clock import MonotonicClock
 def record(
     out: Annotated[Path, typer.Argument(help="folder to be made: TUM RGB-D layout, camera.json")],
     source: Annotated[
-        str, typer.Option(help="realsense, or realsense:SERIAL where there are several")
+        str,
+        typer.Option(
+            help="realsense, realsense:SERIAL where there are several, or realsense:FILE, a .bag "
+            "or .db3 of the RealSense SDK"
+        ),
     ] = REALSENSE,
+    camera: Annotated[
+        Path | None,
+        typer.Option(help="camera JSON, in place of what the camera says", show_default=False),
+    ] = None,
     seconds: Annotated[
         float | None,
         typer.Option(min=0.1, max=86_400, help="stop after this; without it at Ctrl-C"),
@@ -58,7 +66,7 @@ def record(
         laser_power_mw=laser_power_mw,
         preset=preset,
     )
-    camera = open_live(source, MonotonicClock(), settings)
+    live = open_live(source, MonotonicClock(), settings, camera)
     errors = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=errors, disable=not errors.is_terminal) as progress:
@@ -67,7 +75,7 @@ def record(
         def on_progress(so_far_s: float, frames: int) -> None:
             progress.update(task, completed=so_far_s, description=f"{frames} frames")
 
-        recorded = run_record(camera, out, seconds, on_progress)
+        recorded = run_record(live, out, seconds, on_progress)
     if as_json:
         print(json.dumps({**asdict(recorded), "folder": str(recorded.folder)}, indent=2))
         return

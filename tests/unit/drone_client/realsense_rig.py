@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -101,3 +104,25 @@ class Rig:
         frame.domain = self.rs.timestamp_domain.hardware_clock
         frame.profile = profile
         sensor.on_video_frame(frame)
+
+
+def sdk_recording(path: Path, count: int = 20) -> Path:
+    """A file written by the SDK's own recorder, of so many pairs."""
+    rig = Rig()
+    recorder = rig.rs.recorder(str(path), rig.device)
+    sensors = recorder.query_sensors()
+    for sensor in sensors:
+        sensor.open([sensor.get_stream_profiles()[0]])
+        sensor.start(lambda frame: None)
+    pace = threading.Event()
+    for number in range(count):
+        stamp_us = 33_333 * number + 5_000
+        for sensor in (rig.color_sensor, rig.depth_sensor):
+            rig.metadata(sensor, frame_timestamp=stamp_us, sensor_timestamp=stamp_us - 5_000)
+        rig.color(number, stamp_us / 1e3)
+        rig.depth(number, stamp_us / 1e3)
+        pace.wait(0.005)  # it is played at the pace at which it came
+    for sensor in sensors:
+        sensor.stop()
+        sensor.close()
+    return path

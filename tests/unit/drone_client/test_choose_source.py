@@ -16,9 +16,10 @@ from drone_client.source.realsense import RealsenseSource
 from drone_client.source.realsense_setup import RealsenseSettings
 from drone_client.source.replay import ReplaySource
 from rgbd_wire.clock import ManualClock
+from rgbd_wire.errors import CameraFileError
 from tests.unit.drone_client.bag_builders import Messages, camera_messages, pictures, write_ros2
 from tests.unit.drone_client.builders import CAMERA, frame
-from tests.unit.drone_client.realsense_rig import sdk
+from tests.unit.drone_client.realsense_rig import sdk, sdk_recording
 
 M = Messages()
 
@@ -108,3 +109,22 @@ def test_a_missing_extra_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "apsw", None)
     with pytest.raises(SourceError, match=r"package apsw is missing: install .*\[bags\]"):
         open_recorded(str(bag))
+
+
+def test_a_recording_of_the_sdk_is_played_by_the_sdk(tmp_path):
+    """As a bag it has no stamps of the camera; the line says what to do."""
+    path = sdk_recording(tmp_path / "sdk.db3", 3)
+    with pytest.raises(SourceError, match="of the RealSense SDK.*record OUT --source realsense:"):
+        open_recorded(str(path))
+    source = open_source(f"realsense:{path}", ManualClock())
+    assert isinstance(source, RealsenseSource)
+
+
+def test_a_camera_file_can_be_named_for_a_camera(tmp_path):
+    """Read before anything is started."""
+    sdk()
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA.to_json()))
+    source = open_live("realsense", ManualClock(), camera=tmp_path / "camera.json")
+    assert source._settings.camera.to_json() == CAMERA.to_json()
+    with pytest.raises(CameraFileError, match="No such file"):
+        open_live("realsense", ManualClock(), camera=tmp_path / "none.json")

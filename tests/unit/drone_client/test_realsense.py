@@ -12,7 +12,7 @@ import pytest
 
 from drone_client.errors import SourceError
 from drone_client.source import realsense_sdk
-from drone_client.source.realsense import RealsenseSource
+from drone_client.source.realsense import RealsenseSource, play_file
 from drone_client.source.realsense_camera import camera_of_profiles
 from drone_client.source.realsense_setup import RealsenseSettings
 from rgbd_wire.clock import ManualClock, MonotonicClock
@@ -24,6 +24,7 @@ from tests.unit.drone_client.realsense_rig import (
     ROTATION,
     TRANSLATION_M,
     Rig,
+    sdk_recording,
 )
 
 SETTINGS = RealsenseSettings(color_size_px=COLOR_SIZE, depth_size_px=DEPTH_SIZE, silence_s=60)
@@ -309,6 +310,49 @@ def test_another_camera_is_not_taken_for_the_first():
     source.start()
     with pytest.raises(SourceError, match="another camera was plugged in"):
         list(source.captures(5))
+    source.stop()
+
+
+def test_the_sdks_own_threads_deliver_and_stop(tmp_path):
+    """A file of the SDK, played by the SDK: calls from its threads, an end, and a clean stop."""
+    path = sdk_recording(tmp_path / "sdk.db3")
+    source = play_file(path, replace(SETTINGS, silence_s=0.3), MonotonicClock())
+    source.start()
+    camera = source.camera
+    got = [c for c in source.captures(0.05) if c is not None]
+    source.stop()
+    assert camera.color.model == "inverse_brown_conrady"
+    np.testing.assert_allclose(camera.color_from_depth.translation, TRANSLATION_M, atol=1e-6)
+    assert 1 <= len(got) <= 20
+    numbers = [int(c.color_rgb[0, 0, 0]) for c in got]
+    assert numbers == sorted(set(numbers))
+    for number, c in zip(numbers, got, strict=True):
+        assert c.depth_units is None or int(c.depth_units[0, 0]) == 1000 + number
+    counts = source.counts()
+    assert counts["paired"] >= 10
+    assert counts["odd_stamps"] == 0
+
+
+def test_a_file_that_the_sdk_cannot_play_is_told(tmp_path):
+    """In one line."""
+    (tmp_path / "no.db3").write_bytes(b"nonsense")
+    for name in ("no.db3", "missing.bag"):
+        source = play_file(tmp_path / name, SETTINGS, MonotonicClock())
+        with pytest.raises(SourceError, match=f"{name}: not to be played by the RealSense SDK"):
+            source.start()
+        source.stop()
+
+
+def test_a_camera_file_stands_in_for_what_the_camera_says(rig):
+    """If it is of the same pictures."""
+    told = camera_of_profiles(rig.color_profile, rig.depth_profile, 0.001, 0.0)
+    own = replace(told, color=replace(told.color, fx=61.0, fy=61.0))
+    with Running(rig, replace(SETTINGS, camera=own)) as running:
+        assert running.source.camera is own
+    wide = replace(told, color=replace(told.color, width=128))
+    source = RealsenseSource(replace(SETTINGS, camera=wide), ManualClock(), lambda: rig.device)
+    with pytest.raises(SourceError, match="file is of color pictures of 128x48, the camera gives"):
+        source.start()
     source.stop()
 
 

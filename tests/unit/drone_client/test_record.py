@@ -204,7 +204,7 @@ def test_the_command_records_a_camera(tmp_path, monkeypatch):
     """With its outcome as JSON or in words."""
     asked = []
 
-    def opened(text, clock, settings):
+    def opened(text, clock, settings, camera):
         asked.append((text, settings))
         return Script([capture(n) for n in range(3)])
 
