@@ -23,7 +23,6 @@ from rich.text import Text
 from drone_client.airframe import Airframe, load_airframe
 from drone_client.calibration.command import calibrate
 from drone_client.errors import ClientError
-from drone_client.flight import Tally
 from drone_client.ledger import LEDGER_NAME
 from drone_client.link.choose import link_summary, open_link
 from drone_client.plot import PLOT_NAME
@@ -34,6 +33,7 @@ from drone_client.ros.publish import open_ros, publish_accepted
 from drone_client.settings import ClientSettings, about, known_name, load_settings
 from drone_client.source.replay import open_recording
 from drone_client.summary_table import print_summary
+from drone_client.tally import Tally
 from drone_client.truth import load_truth
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.errors import WireError

@@ -13,70 +13,29 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 from drone_client.airframe import Airframe
 from drone_client.autopilot import Autopilot
-from drone_client.control import ControlSettings, Decision, decide, stop_command
+from drone_client.control_loop import ControlLoop, Knowledge
 from drone_client.encoding_choice import EncodingChoice
-from drone_client.gate import GateSettings
+from drone_client.flight_settings import FlightSettings
 from drone_client.ledger import Fate, Ledger
 from drone_client.link import Link
 from drone_client.lookout import Lookout, LookoutSettings
 from drone_client.onboard import LookVerdict
 from drone_client.own_eyes import OwnEyes
-from drone_client.rate_control import RateSettings
 from drone_client.reception import Receiver, Reception
 from drone_client.records import decision_record, one_way_record, reception_record
-from drone_client.uplink import Uplink, UplinkSettings
+from drone_client.tally import Tally
+from drone_client.target import TargetEstimate
+from drone_client.uplink import Uplink
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.geometry import Pose
-from target_pose.target import Target
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class OwnEyesSettings:
-    """The drone's own eyes, for the moments without a link."""
-
-    target: Target
-    alone_max_ns: int
-    """So long after the edge's last word no further look is taken."""
-
-
-@dataclass(frozen=True, slots=True)
-class FlightSettings:
-    """All that the parts of a run need."""
-
-    uplink: UplinkSettings
-    gate: GateSettings
-    control: ControlSettings
-    rate: RateSettings
-    control_hz: float
-    reply_timeout_ns: int
-    own_eyes: OwnEyesSettings | None = None
-    """None: without the edge the drone is blind."""
-
-
-@dataclass(slots=True)
-class Tally:
-    """Counts of a run so far, for the progress line and the summary."""
-
-    verdicts: Counter[str] = field(default_factory=Counter)
-    outcomes: Counter[str] = field(default_factory=Counter)
-    statuses: Counter[str] = field(default_factory=Counter)
-    late_results: int = 0
-    """Results of frames that had been given up on."""
-    onboard: int = 0
-    """Poses that were seen on board."""
-    control_errors: int = 0
-    receive_errors: int = 0
-    """Messages whose handling went wrong; the log has the first."""
 
 
 class Flight:
@@ -98,7 +57,6 @@ class Flight:
         self._airframe = airframe
         self._camera_from_body = airframe.body_from_camera.inverse()
         self._link = link
-        self._autopilot = autopilot
         self._clock = clock
         self._ledger = ledger
         self._world_from_body = world_from_body
@@ -117,7 +75,16 @@ class Flight:
         self._own_eyes = self._open_eyes()
         choice = EncodingChoice(settings.rate, lambda: self._receiver.estimate)
         self._uplink = Uplink(settings.uplink, link, clock, self._receiver, ledger, choice)
-        self._control = threading.Thread(target=self._run_control, name="control", daemon=True)
+        self._control = ControlLoop(
+            settings.control,
+            airframe,
+            autopilot,
+            Knowledge(self._estimate, self._pose_now),
+            clock,
+            ledger,
+            self.tally,
+            reply_timeout_ns=settings.reply_timeout_ns,
+        )
 
     @property
     def receiver(self) -> Receiver:
@@ -187,8 +154,7 @@ class Flight:
         self._uplink.stop()
         if self._own_eyes is not None:
             self._own_eyes.stop()
-        if self._control.is_alive():
-            self._control.join(timeout=5.0)
+        self._control.stop()
         self._link.close()
         self._ledger.close()
 
@@ -225,7 +191,7 @@ class Flight:
             )
             return
         tally.outcomes[result.outcome.value] += 1
-        decision = self._decide(self._clock.now_ns())
+        decision = self._control.decide(self._clock.now_ns())
         one_way = one_way_record(result, reception.t4_ns, self._uplink.estimate(result.worker))
         record = reception_record(reception) | one_way | decision_record(decision)
         if not self._ledger.close_frame(result.sequence, Fate.ANSWERED, record):
@@ -236,60 +202,13 @@ class Flight:
         if reception.judgement.accepted:
             self._on_accepted(reception)  # last: whatever it does, the frame has its line
 
-    def _decide(self, now_ns: int) -> Decision:
+    def _estimate(self, now_ns: int) -> TargetEstimate | None:
         eyes = self._own_eyes
-        return decide(
-            now_ns,
-            self._receiver.estimate if eyes is None else eyes.leading(now_ns),
-            self._receiver.pose_at(now_ns),
-            self._airframe,
-            self._settings.control,
-        )
+        return self._receiver.estimate if eyes is None else eyes.leading(now_ns)
 
-    def _run_control(self) -> None:
-        period_ns = round(1e9 / self._settings.control_hz)
-        due_ns = self._clock.now_ns()
-        well = True
-        while not self._stopping.is_set():
-            now_ns = self._clock.now_ns()
-            decided: dict[str, Any] = {}
-            try:
-                decided = self._tick(now_ns)
-                well = True
-            except Exception:
-                # Last line of defence: whatever went wrong, the drone stands still, and it is told.
-                self.tally.control_errors += 1
-                if well:  # once, not at every tick that fails like the one before
-                    logger.exception("control tick failed: commanding a stop")
-                well = False
-                self._stand_still()
-            self._ledger.close_unanswered(now_ns - self._settings.reply_timeout_ns, decided)
-            due_ns += period_ns
-            now_ns = self._clock.now_ns()
-            if due_ns < now_ns - 5 * period_ns:
-                due_ns = now_ns  # fell behind: no burst of ticks to catch up
-            self._stopping.wait(max(0, due_ns - now_ns) / 1e9)
-        self._stand_still()
-
-    def _stand_still(self) -> None:
-        try:
-            self._autopilot.command(stop_command(self._clock.now_ns()))
-        except Exception:
-            # It is the autopilot itself that fails, and its own dead man is all that is left.
-            self.tally.control_errors += 1
-
-    def _tick(self, now_ns: int) -> dict[str, Any]:
-        """Decide, command, write it down; returns what the ledger says of the decision."""
+    def _pose_now(self, now_ns: int) -> Pose | None:
+        """Where the drone is, kept for the measurements that will speak of this moment."""
         world_from_body = self._world_from_body(now_ns)
         if world_from_body is not None:
             self._receiver.add_pose(now_ns, world_from_body)
-        decision = self._decide(now_ns)
-        self._autopilot.command(decision.command)
-
-        if decision.safe is not None:
-            self.tally.statuses[decision.safe.status.value] += 1
-        else:
-            self.tally.statuses[decision.known.value] += 1
-        record = decision_record(decision)
-        self._ledger.tick({"t_ns": now_ns} | record)
-        return record
+        return self._receiver.pose_at(now_ns)

@@ -3,41 +3,32 @@
 from __future__ import annotations
 
 import json
-import secrets
 import threading
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from drone_client.airframe import Airframe
 from drone_client.autopilot.memory import MemoryAutopilot
-from drone_client.cbf.settings import FilterSettings
-from drone_client.control import ControlSettings
-from drone_client.errors import LinkError
-from drone_client.flight import Flight, FlightSettings, OwnEyesSettings, Tally
+from drone_client.flight import Flight
+from drone_client.flight_settings import flight_settings
 from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, ONBOARD_NAME, TICKS_NAME, Ledger
 from drone_client.link import Link
 from drone_client.link.choose import link_summary
-from drone_client.link.diagnosis import diagnose
+from drone_client.link.waiting import wait_for_worker
 from drone_client.playback import Lockstep, Playback, RealTime
 from drone_client.plot import PLOT_NAME, plot_run
-from drone_client.rate_control import RateSettings
 from drone_client.reception import Reception
-from drone_client.settings import NS_PER_MS, ClientSettings
+from drone_client.settings import ClientSettings
 from drone_client.source import RgbdSource
 from drone_client.summary import read_lines, summarise
+from drone_client.tally import Tally
 from drone_client.truth import TruthEntry
-from drone_client.uplink import UplinkSettings
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
-from rgbd_wire.tls_files import tls_files
-from target_pose.target import load_round_target
 
 SUMMARY_NAME: Final = "summary.json"
-MAX_KNOCKS = 4
-"""Endpoints that are looked at when nobody answers; each may take some seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,69 +42,6 @@ class ReplayOptions:
     plot: bool = True
     overwrite: bool = False
     """An earlier run in ``out`` may go."""
-
-
-def flight_settings(settings: ClientSettings) -> FlightSettings:
-    """The parts' settings out of the client's: every bound is stated once, in ``settings``.
-
-    Raises:
-        TargetFileError: the target of the drone's own eyes cannot be read.
-    """
-    control = ControlSettings(
-        filter=replace(
-            FilterSettings(),
-            period_s=1.0 / settings.control_hz,
-            unconfirmed_mps=settings.onboard_growth_mm_s / 1e3,
-        )
-    )
-    own_eyes = None
-    if settings.onboard_fallback:
-        alone_max_ns = round(settings.onboard_max_s * 1e9)
-        own_eyes = OwnEyesSettings(load_round_target(settings.onboard_target), alone_max_ns)
-    return FlightSettings(
-        uplink=UplinkSettings(
-            drone=settings.name,
-            boot_id=secrets.randbits(63),
-            window=settings.window,
-            ack_timeout_ns=round(settings.ack_timeout_ms * NS_PER_MS),
-            age_max_ns=settings.gate.age_max_ns,
-            hedge=settings.hedge,
-        ),
-        gate=settings.gate,
-        rate=RateSettings(
-            serialisation_max_ns=settings.gate.tau_max_ns // 3,
-            enabled=settings.rate_control,
-            best_quality=settings.jpeg_quality,
-        ),
-        control=control,
-        control_hz=settings.control_hz,
-        reply_timeout_ns=round(settings.reply_timeout_ms * NS_PER_MS),
-        own_eyes=own_eyes,
-    )
-
-
-def wait_for_worker(link: Link, settings: ClientSettings) -> tuple[str, ...]:
-    """Names of the workers, as soon as there is one.
-
-    Raises:
-        LinkError: none came in time.
-    """
-    give_up = time.monotonic() + settings.wait_for_worker_s
-    while not (workers := link.workers()):
-        if time.monotonic() >= give_up:
-            raise LinkError(
-                f"no worker answers at {settings.connect} within {settings.wait_for_worker_s:g} s; "
-                + _reasons(settings)
-            )
-        time.sleep(0.02)
-    return workers
-
-
-def _reasons(settings: ClientSettings) -> str:
-    if settings.uses_tunnel:
-        return "is edge-service running there with EDGE_UDP_LISTEN, and does it have our key?"
-    tls = None if settings.tls is None else tls_files(settings.tls)
-    return "; ".join(diagnose(endpoint, tls) for endpoint in settings.endpoints[:MAX_KNOCKS])
 
 
 def replay(

@@ -18,15 +18,11 @@ from drone_client.autopilot import VelocityCommand
 from drone_client.autopilot.memory import MemoryAutopilot
 from drone_client.errors import LinkError, SourceError
 from drone_client.flight import Flight
+from drone_client.flight_settings import flight_settings
 from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME, Fate, Ledger
 from drone_client.link.memory import MemoryLink
-from drone_client.replay import (
-    SUMMARY_NAME,
-    ReplayOptions,
-    flight_settings,
-    replay,
-    wait_for_worker,
-)
+from drone_client.link.waiting import wait_for_worker
+from drone_client.replay import SUMMARY_NAME, ReplayOptions, replay
 from drone_client.settings import ClientSettings
 from drone_client.source import Capture
 from drone_client.source.memory import MemorySource
@@ -258,6 +254,7 @@ def test_settings_reach_the_parts_in_nanoseconds_and_each_start_is_another():
     assert (a.uplink.window, a.uplink.age_max_ns) == (3, 200 * MS)
     assert a.rate.serialisation_max_ns == 41_166_666
     assert a.control.filter.period_s == 0.01
+    assert a.control.filter.age_max_ns == 200 * MS
     assert a.uplink.boot_id != b.uplink.boot_id
 
 
