@@ -28,8 +28,8 @@ from drone_client.airframe import Airframe
 from drone_client.errors import ClientError
 from drone_client.gate import SentFrame
 from drone_client.link.choose import open_link
+from drone_client.link.waiting import wait_for_worker
 from drone_client.reception import Receiver, Reception
-from drone_client.replay import wait_for_worker
 from drone_client.roster import Roster
 from drone_client.settings import NS_PER_MS, ClientSettings, about, load_settings
 from drone_client.source.replay import open_recording
