@@ -204,6 +204,7 @@ class RealsenseSource:
         if depth_sensor.supports(rs.option.stereo_baseline):
             baseline_mm = abs(depth_sensor.get_option(rs.option.stereo_baseline))
         told = camera_of_profiles(
+            rs,
             color[1],
             depth[1],
             float(depth_sensor.get_option(rs.option.depth_units)),

@@ -1,8 +1,12 @@
 """What a RealSense says of its lenses, in our words.
 
 Three traps. ``get_extrinsics_to`` of the depth stream, asked for the colour stream, maps points of
-depth to colour: that is ``color_from_depth``. Its rotation comes column by column. And "modified
-Brown-Conrady" is none of the models that we know unless its tangential part is zero.
+depth to colour: that is ``color_from_depth``. Its rotation comes column by column. And the names of
+the lens models are not to be trusted: what the SDK calls "inverse Brown-Conrady" (a D4xx's colour)
+it projects just as "modified Brown-Conrady", from ideal points to seen ones, and deprojects by
+inverting that. It is OpenCV's model but for products of small terms, and the opposite of what
+the name and our ``inverse_brown_conrady`` say: up to 10 px apart in a D455's pictures. So the name
+is not asked: the five numbers are taken as OpenCV's, and compared with what the SDK makes of them.
 """
 
 from __future__ import annotations
@@ -15,23 +19,23 @@ from drone_client.errors import SourceError
 from rgbd_wire.camera import CameraIntrinsics, DistortionModel, RgbdCamera
 from rgbd_wire.errors import GeometryError
 from rgbd_wire.geometry import Pose
+from target_pose.lens import project
 
 LATTICE_STEPS: Final = 32
 """A D4xx measures disparity in 1/32 px: depth is fx x baseline x 32 / n (rgbd_wire/depth)."""
-_NO_TANGENTIAL: Final = "modified_brown_conrady"
-_MODELS: Final[dict[str, DistortionModel]] = {
-    "none": "none",
-    "brown_conrady": "brown_conrady",
-    "inverse_brown_conrady": "inverse_brown_conrady",
-}
+MAX_LENS_ERROR_PX: Final = 0.1
+"""Between the SDK's projection and ours, anywhere in the picture; far below what we see."""
+_GRID: Final = 9
+"""Points along each side, at which the two are compared."""
 
 
 def camera_of_profiles(
-    color: Any, depth: Any, depth_scale_m: float, baseline_m: float
+    sdk: Any, color: Any, depth: Any, depth_scale_m: float, baseline_m: float
 ) -> RgbdCamera:
     """The rig of an opened colour and depth stream.
 
     Args:
+        sdk: ``pyrealsense2``.
         color: ``video_stream_profile`` of the colour stream.
         depth: the same of the raw depth stream.
         depth_scale_m: metres of one depth unit.
@@ -41,7 +45,7 @@ def camera_of_profiles(
         SourceError: a lens model that we do not have, or numbers that no camera has.
     """
     try:
-        depth_intrinsics = intrinsics_of(depth.get_intrinsics(), "depth")
+        depth_intrinsics = intrinsics_of(sdk, depth.get_intrinsics(), "depth")
         extrinsics = depth.get_extrinsics_to(color)
         rotation = np.array(extrinsics.rotation, dtype=np.float64).reshape(3, 3, order="F")
         # It comes in single precision, as orthogonal as that is
@@ -49,7 +53,7 @@ def camera_of_profiles(
         if not np.allclose(color_from_depth.rotation, rotation, atol=1e-4):
             raise GeometryError("its extrinsics are no rotation")
         return RgbdCamera(
-            intrinsics_of(color.get_intrinsics(), "colour"),
+            intrinsics_of(sdk, color.get_intrinsics(), "colour"),
             depth_intrinsics,
             depth_scale_m,
             color_from_depth,
@@ -59,27 +63,16 @@ def camera_of_profiles(
         raise SourceError(f"the camera's own calibration cannot be: {error}") from None
 
 
-def intrinsics_of(intrinsics: Any, stream: str) -> CameraIntrinsics:
+def intrinsics_of(sdk: Any, intrinsics: Any, stream: str) -> CameraIntrinsics:
     """``rs.intrinsics`` as ours.
 
     Raises:
-        SourceError: a lens model that we do not have.
+        SourceError: a lens that the SDK projects otherwise than we can.
         GeometryError: numbers that no camera has.
     """
     k1, k2, p1, p2, k3 = (float(k) for k in intrinsics.coeffs)  # OpenCV's order, as ours
-    name = str(intrinsics.model.name)
-    if not any((k1, k2, p1, p2, k3)):
-        model: DistortionModel = "none"
-    elif name in _MODELS:
-        model = _MODELS[name]
-    elif name == _NO_TANGENTIAL and p1 == p2 == 0:
-        model = "brown_conrady"
-    else:
-        raise SourceError(
-            f"the {stream} camera's lens model {name} is not supported; known: "
-            + ", ".join((*_MODELS, f"{_NO_TANGENTIAL} without a tangential part"))
-        )
-    return CameraIntrinsics(
+    model: DistortionModel = "brown_conrady" if any((k1, k2, p1, p2, k3)) else "none"
+    ours = CameraIntrinsics(
         width=intrinsics.width,
         height=intrinsics.height,
         fx=intrinsics.fx,
@@ -89,3 +82,21 @@ def intrinsics_of(intrinsics: Any, stream: str) -> CameraIntrinsics:
         model=model,
         coefficients=(k1, k2, p1, p2, k3),
     )
+    error_px = _lens_error_px(sdk, intrinsics, ours)
+    if not error_px <= MAX_LENS_ERROR_PX:
+        raise SourceError(
+            f"the {stream} camera's lens model {intrinsics.model.name} is not supported: its five "
+            f"numbers taken as OpenCV's are {error_px:.1f} px off; give a camera file of your own"
+        )
+    return ours
+
+
+def _lens_error_px(sdk: Any, intrinsics: Any, ours: CameraIntrinsics) -> float:
+    """How far the SDK's projection and ours are apart at most, over the picture."""
+    u, v = np.meshgrid(
+        np.linspace(0, ours.width - 1, _GRID), np.linspace(0, ours.height - 1, _GRID)
+    )
+    x, y = (u.ravel() - ours.cx) / ours.fx, (v.ravel() - ours.cy) / ours.fy
+    points = np.column_stack([x, y, np.ones_like(x)])
+    theirs = [sdk.rs2_project_point_to_pixel(intrinsics, list(map(float, p))) for p in points]
+    return float(np.abs(project(points, ours) - np.array(theirs)).max())

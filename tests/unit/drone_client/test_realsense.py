@@ -13,9 +13,10 @@ import pytest
 from drone_client.errors import SourceError
 from drone_client.source import realsense_sdk
 from drone_client.source.realsense import RealsenseSource, play_file
-from drone_client.source.realsense_camera import camera_of_profiles
+from drone_client.source.realsense_camera import camera_of_profiles, intrinsics_of
 from drone_client.source.realsense_setup import RealsenseSettings
 from rgbd_wire.clock import ManualClock, MonotonicClock
+from target_pose.lens import project
 from tests.unit.drone_client.builders import MS, SECOND, eventually
 from tests.unit.drone_client.realsense_rig import (
     BASELINE_MM,
@@ -24,6 +25,7 @@ from tests.unit.drone_client.realsense_rig import (
     ROTATION,
     TRANSLATION_M,
     Rig,
+    sdk,
     sdk_recording,
 )
 
@@ -65,7 +67,7 @@ def test_the_camera_is_what_the_device_says(rig):
     color = camera.color
     assert (color.width, color.height) == COLOR_SIZE
     assert (color.fx, color.fy, color.cx, color.cy) == (want.fx, want.fy, want.ppx, want.ppy)
-    assert color.model == "inverse_brown_conrady"
+    assert color.model == "brown_conrady"  # the name says another one: see the next tests
     np.testing.assert_allclose(color.coefficients, want.coeffs)
     assert (camera.depth.width, camera.depth.height) == DEPTH_SIZE
     assert camera.depth.model == "none"  # five zeros are no lens
@@ -75,7 +77,7 @@ def test_the_camera_is_what_the_device_says(rig):
 
 def test_the_extrinsics_take_a_depth_point_to_colour(rig):
     """As the SDK's own function does, and not the other way round."""
-    camera = camera_of_profiles(rig.color_profile, rig.depth_profile, 0.001, 0.0)
+    camera = camera_of_profiles(rig.rs, rig.color_profile, rig.depth_profile, 0.001, 0.0)
     assert camera.depth_lattice_m == 0
     p_depth = [0.3, -0.2, 1.7]
     extrinsics = rig.depth_profile.get_extrinsics_to(rig.color_profile)
@@ -84,25 +86,44 @@ def test_the_extrinsics_take_a_depth_point_to_colour(rig):
     np.testing.assert_allclose(want, ROTATION.apply(p_depth) + TRANSLATION_M, atol=1e-6)
 
 
+D455 = (-0.0565, 0.0682, 0.0004, 0.0007, -0.0218)
+
+
+@pytest.mark.parametrize("model", ["brown_conrady", "inverse_brown_conrady"])
+def test_a_point_is_seen_where_the_sdk_sees_it(model):
+    """All over the picture, whatever the SDK calls a D455's numbers; both ways."""
+    rs = sdk()
+    theirs = rs.intrinsics()
+    theirs.width, theirs.height, theirs.fx, theirs.fy = 640, 480, 385.0, 384.0
+    theirs.ppx, theirs.ppy, theirs.coeffs = 318.0, 242.0, list(D455)
+    theirs.model = getattr(rs.distortion, model)
+    ours = intrinsics_of(rs, theirs, "colour")
+    for u in np.linspace(0, 639, 14):
+        for v in np.linspace(0, 479, 11):
+            ray = np.array(rs.rs2_deproject_pixel_to_point(theirs, [u, v], 1.0))
+            np.testing.assert_allclose(project(ray[None], ours)[0], (u, v), atol=0.02)
+
+
 @pytest.mark.parametrize(
     ("model", "coefficients", "ours"),
     [
         ("none", (0.0,) * 5, "none"),
-        ("brown_conrady", (0.1, 0, 0, 0, 0), "brown_conrady"),
-        ("modified_brown_conrady", (0.1, 0.2, 0, 0, 0.3), "brown_conrady"),
-        ("modified_brown_conrady", (0.1, 0.2, 0.001, 0, 0.3), None),
+        ("brown_conrady", D455, "brown_conrady"),
+        ("inverse_brown_conrady", D455, "brown_conrady"),
+        ("modified_brown_conrady", D455, "brown_conrady"),
+        ("modified_brown_conrady", (0.5, 0.2, 0.05, 0.05, 0.3), None),
         ("kannala_brandt4", (0.1, 0, 0, 0, 0), None),
-        ("kannala_brandt4", (0.0,) * 5, "none"),
+        ("kannala_brandt4", (0.0,) * 5, None),
     ],
 )
 def test_lens_models(model, coefficients, ours):
-    """Those that we have by their names; others are refused, unless they bend nothing."""
+    """Those that the SDK projects as OpenCV does; others are refused, by how far they are off."""
     rig = Rig(model=model, coefficients=coefficients)
     if ours is None:
-        with pytest.raises(SourceError, match=f"lens model {model} is not supported; known: none"):
-            camera_of_profiles(rig.color_profile, rig.depth_profile, 0.001, 0.0)
+        with pytest.raises(SourceError, match=rf"lens model {model} is not .* \d+\.\d px off"):
+            camera_of_profiles(rig.rs, rig.color_profile, rig.depth_profile, 0.001, 0.0)
     else:
-        camera = camera_of_profiles(rig.color_profile, rig.depth_profile, 0.001, 0.0)
+        camera = camera_of_profiles(rig.rs, rig.color_profile, rig.depth_profile, 0.001, 0.0)
         assert camera.color.model == ours
 
 
@@ -321,7 +342,7 @@ def test_the_sdks_own_threads_deliver_and_stop(tmp_path):
     camera = source.camera
     got = [c for c in source.captures(0.05) if c is not None]
     source.stop()
-    assert camera.color.model == "inverse_brown_conrady"
+    assert camera.color.model == "brown_conrady"
     np.testing.assert_allclose(camera.color_from_depth.translation, TRANSLATION_M, atol=1e-6)
     assert 1 <= len(got) <= 20
     numbers = [int(c.color_rgb[0, 0, 0]) for c in got]
@@ -345,7 +366,7 @@ def test_a_file_that_the_sdk_cannot_play_is_told(tmp_path):
 
 def test_a_camera_file_stands_in_for_what_the_camera_says(rig):
     """If it is of the same pictures."""
-    told = camera_of_profiles(rig.color_profile, rig.depth_profile, 0.001, 0.0)
+    told = camera_of_profiles(rig.rs, rig.color_profile, rig.depth_profile, 0.001, 0.0)
     own = replace(told, color=replace(told.color, fx=61.0, fy=61.0))
     with Running(rig, replace(SETTINGS, camera=own)) as running:
         assert running.source.camera is own
