@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from drone_client.cbf.variants import Barrier
-from drone_client.cbf.vector import Vec3, between, moved
+from drone_client.cbf.vector import Vec3
 
-HALVINGS = 8
+HALVINGS = 6
 """Bound of the search; after it the straight retreat, which needs none."""
 ROUNDING_M = 1e-9
 """Slack for the rounding of h, which is exact in theory where the tip moves along x."""
@@ -36,8 +36,8 @@ class Hold(NamedTuple):
 
     def h_next(self, u_target: Vec3) -> float:
         """Barrier at the end of the period for the tip velocity ``u_target`` [m/s]."""
-        p_next = moved(self.p_target, u_target, self.period_s)
-        return self.barrier.h(p_next, self.delta_next_m)
+        (x, y, z), (ux, uy, uz), t = self.p_target, u_target, self.period_s
+        return self.barrier.h((x + t * ux, y + t * uy, z + t * uz), self.delta_next_m)
 
     def h_required(self, v_max: float) -> float:
         """What the barrier must be at the end of the period [m].
@@ -91,8 +91,10 @@ def checked(
     retreat = hold.retreat(v_max)
     if kept_out is not None:
         retreat = kept_out(retreat)
+    rx, ry, rz = retreat
     for halvings in range(1, HALVINGS):
-        u_target = between(u_target, retreat, 0.5)
+        ux, uy, uz = u_target
+        u_target = 0.5 * (ux + rx), 0.5 * (uy + ry), 0.5 * (uz + rz)
         h_next = hold.h_next(u_target)
         if h_next >= required:
             return u_target, halvings

@@ -154,10 +154,10 @@ class FilterSettings:
     @property
     def barrier(self) -> Barrier:
         """The safe set of the variant."""
-        match self.variant:
-            case Variant.SMOOTH:
-                return self.funnel
-            case Variant.CUSP:
-                return CuspFunnel(self.funnel.a)
-            case Variant.PAPER:
-                return paper_funnel(self.funnel.a)
+        if self.variant is Variant.SMOOTH:  # at every tick of every flight
+            return self.funnel
+        return (
+            CuspFunnel(self.funnel.a)
+            if self.variant is Variant.CUSP
+            else paper_funnel(self.funnel.a)
+        )

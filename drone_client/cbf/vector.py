@@ -40,11 +40,6 @@ def moved(a: Vec3, b: Vec3, k: float = 1.0) -> Vec3:
     return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]
 
 
-def between(a: Vec3, b: Vec3, s: float) -> Vec3:
-    """The point at ``s`` in [0, 1] on the way from ``a`` to ``b``."""
-    return moved(scaled(a, 1.0 - s), b, s)
-
-
 def is_bounded(a: Vec3, limit: float) -> bool:
     """Whether every component is a number of at most ``limit`` in magnitude.
 

@@ -62,7 +62,7 @@ def test_a_vehicle_that_follows_late_still_touches_gently(lag_s, start_m) -> Non
     for _ in range(2_000):
         v += follow * (closing_limit_mps(x, 0.08, 0.1, 0.04, lag_s + period_s) - v)
         x -= period_s * v
-        assert x >= -0.041  # being late, it passes what it creeps up to by less than a millimetre
+        assert x >= -0.042  # being late, it passes what it creeps up to by a millimetre
 
 
 def test_alpha_is_small_near_and_large_far() -> None:
