@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from drone_client.airframe import Airframe
 from drone_client.autopilot.memory import MemoryAutopilot
 from drone_client.flight import Flight
 from drone_client.flight_settings import flight_settings
-from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, ONBOARD_NAME, TICKS_NAME, Ledger
+from drone_client.ledger import Ledger
 from drone_client.link import Link
-from drone_client.link.choose import link_summary
 from drone_client.link.waiting import wait_for_worker
 from drone_client.playback import Lockstep, Playback, RealTime
-from drone_client.plot import PLOT_NAME, plot_run
 from drone_client.reception import Reception
+from drone_client.run_report import report, take_down
 from drone_client.settings import ClientSettings
 from drone_client.source import RgbdSource
-from drone_client.summary import read_lines, summarise
 from drone_client.tally import Tally
 from drone_client.truth import TruthEntry
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
-
-SUMMARY_NAME: Final = "summary.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,56 +96,18 @@ def replay(
         interrupted = True
     finally:
         stop.set()
-        link_at_end = link_summary(link)  # before it is closed, and knows nobody any more
-        standings = flight.uplink.standings()
-        same_name = flight.uplink.same_name_workers
-        flight.stop()
-    frames = read_lines(options.out / LEDGER_NAME)
-    ticks = read_lines(options.out / TICKS_NAME)
-    events = read_lines(options.out / EVENTS_NAME)
-    looks = read_lines(options.out / ONBOARD_NAME) if settings.onboard_fallback else None
-    summary = {
-        "drone": settings.name,
-        "connect": settings.connect,
-        "tau_max_ms": settings.tau_max_ms,
-        "age_max_ms": settings.age_max_ms,
+        at_end = take_down(flight, link)
+    about = {
         "as_fast_as_possible": options.as_fast_as_possible,
         "interrupted": interrupted,
-        **summarise(frames, ticks, events, options.truth, looks),
-        "standings": standings,
-        "same_name_workers": same_name,
-        "link": link_at_end,
-        "rejected_messages": {r.value: n for r, n in flight.receiver.rejects.items()},
-        "foreign_messages": flight.receiver.foreign,
-        "late_results": flight.tally.late_results,
-        "control_errors": flight.tally.control_errors,
-        "receive_errors": flight.tally.receive_errors,
-        "lost_ledger_lines": ledger.lost_lines,
-        "unwritten": [],
+        **at_end,
     }
-    if flight.own_eyes is not None:
-        summary["onboard"]["taken_back"] = flight.own_eyes.contradicted
-    _write(summary, frames, ticks, events, options)
-    return summary
-
-
-def _write(
-    summary: dict[str, Any],
-    frames: list[dict[str, Any]],
-    ticks: list[dict[str, Any]],
-    events: list[dict[str, Any]],
-    options: ReplayOptions,
-) -> None:
-    """Write summary and plot; a full disk is told in the summary itself, which is still shown."""
-    try:
-        text = json.dumps(summary, indent=2) + "\n"
-        (options.out / SUMMARY_NAME).write_text(text, encoding="utf-8")
-    except OSError as error:
-        summary["unwritten"].append(f"{options.out / SUMMARY_NAME}: {error.strerror}")
-    if not options.plot:
-        return
-    try:
-        path = options.out / PLOT_NAME
-        plot_run(path, frames, ticks, events, summary["tau_max_ms"], summary["age_max_ms"])
-    except OSError as error:
-        summary["unwritten"].append(f"{options.out / PLOT_NAME}: {error.strerror}")
+    return report(
+        options.out,
+        settings,
+        flight,
+        ledger,
+        about,
+        truth=options.truth,
+        plot=options.plot,
+    )

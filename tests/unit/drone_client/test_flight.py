@@ -22,7 +22,8 @@ from drone_client.flight_settings import flight_settings
 from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME, Fate, Ledger
 from drone_client.link.memory import MemoryLink
 from drone_client.link.waiting import wait_for_worker
-from drone_client.replay import SUMMARY_NAME, ReplayOptions, replay
+from drone_client.replay import ReplayOptions, replay
+from drone_client.run_report import SUMMARY_NAME
 from drone_client.settings import ClientSettings
 from drone_client.source import Capture
 from drone_client.source.memory import MemorySource
