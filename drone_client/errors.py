@@ -6,6 +6,7 @@
     ├── SourceError      a recording or camera that cannot give frames
     ├── LinkError        an address that cannot be one, or nobody there
     ├── AirframeError    an airframe file that cannot be read
+    ├── AutopilotError   an address that cannot be one, or no vehicle there
     └── OutputError      a folder that cannot take the run's files
 """
 
@@ -30,3 +31,7 @@ class AirframeError(ClientError):
 
 class OutputError(ClientError):
     """The run's folder cannot be written."""
+
+
+class AutopilotError(ClientError):
+    """An autopilot's address is malformed, or no vehicle answers there."""

@@ -18,12 +18,14 @@ from typing import Any
 
 from drone_client.airframe import Airframe
 from drone_client.autopilot import Autopilot
+from drone_client.control import Decision
 from drone_client.control_loop import ControlLoop, Knowledge
 from drone_client.encoding_choice import EncodingChoice
 from drone_client.flight_settings import FlightSettings
 from drone_client.ledger import Fate, Ledger
 from drone_client.link import Link
 from drone_client.lookout import Lookout, LookoutSettings
+from drone_client.mission import MissionState, Senses
 from drone_client.onboard import LookVerdict
 from drone_client.own_eyes import OwnEyes
 from drone_client.reception import Receiver, Reception
@@ -51,6 +53,10 @@ class Flight:
         ledger: Ledger,
         world_from_body: Callable[[int], Pose | None],
         on_accepted: Callable[[Reception], None] = lambda reception: None,
+        *,
+        mission: MissionState | None = None,
+        senses: Callable[[int], Senses] = lambda now_ns: Senses(),
+        on_decision: Callable[[Decision], None] = lambda decision: None,
     ) -> None:
         self.tally = Tally()
         self._settings = settings
@@ -79,11 +85,13 @@ class Flight:
             settings.control,
             airframe,
             autopilot,
-            Knowledge(self._estimate, self._pose_now),
+            Knowledge(self._estimate, self._pose_now, senses),
             clock,
             ledger,
             self.tally,
             reply_timeout_ns=settings.reply_timeout_ns,
+            mission=mission,
+            on_decision=on_decision,
         )
 
     @property
@@ -142,6 +150,10 @@ class Flight:
         sequence = self._uplink.submit(frame, name)
         if self._own_eyes is not None:
             self._own_eyes.offer(sequence, frame)
+
+    def keep_pose(self, t_ns: int, world_from_body: Pose) -> None:
+        """Keep where the drone was, for the measurements that will speak of that moment."""
+        self._receiver.add_pose(t_ns, world_from_body)
 
     def drain(self) -> None:
         """Wait until each frame's fate is known; the time-outs bound it."""
@@ -207,8 +219,6 @@ class Flight:
         return self._receiver.estimate if eyes is None else eyes.leading(now_ns)
 
     def _pose_now(self, now_ns: int) -> Pose | None:
-        """Where the drone is, kept for the measurements that will speak of this moment."""
+        """Where the drone is: by its odometry, or where it was a moment ago."""
         world_from_body = self._world_from_body(now_ns)
-        if world_from_body is not None:
-            self._receiver.add_pose(now_ns, world_from_body)
-        return self._receiver.pose_at(now_ns)
+        return self._receiver.pose_at(now_ns) if world_from_body is None else world_from_body

@@ -85,8 +85,8 @@ def run(tmp_path_factory):
 
     settings = ClientSettings(
         connect=worker.endpoint,
-        tau_max_ms=2000,
-        age_max_ms=2500,
+        tau_max_ms=400,
+        age_max_ms=450,
         onboard_fallback=True,
         onboard_max_s=10,
     )

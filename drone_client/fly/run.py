@@ -1,0 +1,262 @@
+"""One flight: camera, link, control and vehicle, brought up in order and always taken down."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from drone_client.airframe import Airframe
+from drone_client.autopilot import FlyingAutopilot
+from drone_client.control import Decision
+from drone_client.errors import AutopilotError, SourceError
+from drone_client.flight import Flight
+from drone_client.flight_settings import FlightSettings, flight_settings
+from drone_client.fly.cockpit import Cockpit, View
+from drone_client.fly.dry_run import Unheard
+from drone_client.fly.orders import Orders
+from drone_client.fly.vehicle_pose import VehiclePose
+from drone_client.ledger import Ledger
+from drone_client.link import Link
+from drone_client.link.waiting import wait_for_worker
+from drone_client.mission import Order, Senses, begin
+from drone_client.promptness import yield_soon
+from drone_client.reception import Reception
+from drone_client.run_report import report, take_down
+from drone_client.settings import ClientSettings
+from drone_client.source import LiveSource
+from rgbd_wire.clock import Clock
+from rgbd_wire.frame import RgbdFrame
+
+PICTURE_S: Final = 0.2
+"""How often a camera without a picture is asked whether the run is over."""
+LOOK_S: Final = 0.1
+"""How often the person in charge is shown how things are."""
+LEAVE_S: Final = 1.0
+"""Time for the vehicle to take the mode that it is given back in."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlyOptions:
+    """What the command line says of one flight."""
+
+    out: Path
+    dry_run: bool = False
+    """Nothing is sent to the vehicle; the commands are only shown."""
+    wait_for_vehicle_s: float = 10.0
+    plot: bool = True
+    overwrite: bool = False
+    """An earlier run in ``out`` may go."""
+
+
+class _Run:
+    """The parts of one flight and the threads between them."""
+
+    def __init__(
+        self,
+        source: LiveSource,
+        vehicle: FlyingAutopilot,
+        airframe: Airframe,
+        parts: FlightSettings,
+        link: Link,
+        clock: Clock,
+        ledger: Ledger,
+        on_accepted: Callable[[Reception], None],
+    ) -> None:
+        self.orders = Orders()
+        self.over = threading.Event()
+        """The mission has given the vehicle back."""
+        self.sentences: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self.decision: Decision | None = None
+        self.camera_error: SourceError | None = None
+        self._source = source
+        self._vehicle = vehicle
+        self._clock = clock
+        self._ledger = ledger
+        self._stopping = threading.Event()
+        self._pump = threading.Thread(target=self._run_pump, name="camera", daemon=True)
+        pose = VehiclePose(vehicle.state, lambda t_ns, pose: self.flight.keep_pose(t_ns, pose))
+        self.flight = Flight(
+            parts,
+            airframe,
+            link,
+            vehicle,
+            clock,
+            ledger,
+            pose,
+            on_accepted,
+            mission=begin(clock.now_ns()),
+            senses=lambda now_ns: Senses(vehicle.state(), order=self.orders.now),
+            on_decision=self._on_decision,
+        )
+
+    def start(self) -> None:
+        self._source.start()
+        self.flight.start()
+        self._pump.start()
+
+    def stop(self) -> None:
+        self._stopping.set()
+        self._source.stop()
+        if self._pump.is_alive():
+            self._pump.join(timeout=5.0)
+
+    def _run_pump(self) -> None:
+        number = 0
+        try:
+            for capture in self._source.captures(PICTURE_S):
+                if self._stopping.is_set():
+                    return
+                if capture is None:
+                    continue
+                frame = RgbdFrame(
+                    color_rgb=capture.color_rgb,
+                    depth_units=capture.depth_units,
+                    camera=self._source.camera,
+                    t_capture_ns=capture.t_source_ns,
+                    world_from_camera=None,
+                )
+                self.flight.capture(frame, capture.name)
+                number += 1
+        except SourceError as error:
+            # What is known grows old now, and that ends the approach; nothing else has to.
+            self.camera_error = error
+            self.sentences.put(f"no more pictures: {error}")
+            self._ledger.event(self._clock.now_ns(), "camera_lost", error=str(error))
+
+    def _on_decision(self, decision: Decision) -> None:
+        self.decision = decision
+        mission, intent = decision.mission, decision.intent
+        if mission is not None and (change := mission.transition) is not None:
+            self.sentences.put(f"{change.before} -> {change.after}: {change.sentence}")
+            self._ledger.event(
+                self._clock.now_ns(),
+                "phase",
+                before=change.before.value,
+                after=change.after.value,
+                reason=change.reason.value,
+                sentence=change.sentence,
+            )
+        if intent is not None and intent.give_back and not self.over.is_set():
+            self._vehicle.release()
+            self.over.set()
+
+
+def fly(
+    source: LiveSource,
+    vehicle: FlyingAutopilot,
+    airframe: Airframe,
+    settings: ClientSettings,
+    options: FlyOptions,
+    link: Link,
+    clock: Clock,
+    cockpit: Cockpit,
+    on_accepted: Callable[[Reception], None] = lambda reception: None,
+) -> dict[str, Any]:
+    """Fly one mission; returns the summary, which is also written beside ledger and plot.
+
+    An interrupt (Ctrl-C) aborts the mission: the drone backs off and is given back. A second one
+    gives it back at once.
+
+    Raises:
+        ClientError: the output folder cannot be written, there is no camera, no worker or no
+            vehicle.
+    """
+    yield_soon()
+    parts = flight_settings(settings)
+    if options.dry_run:
+        vehicle = Unheard(vehicle)
+        control = replace(
+            parts.control, mission=replace(parts.control.mission, needs_vehicle=False)
+        )
+        parts = replace(parts, control=control)
+    ledger = Ledger(options.out, overwrite=options.overwrite, own_eyes=settings.onboard_fallback)
+    run = _Run(source, vehicle, airframe, parts, link, clock, ledger, on_accepted)
+    agreed, at_end = False, {}
+    try:
+        run.start()
+        workers = wait_for_worker(link, settings)
+        ledger.event(clock.now_ns(), "workers", live=workers)
+        _wait_for_vehicle(vehicle, options.wait_for_vehicle_s)
+        agreed = options.dry_run or cockpit.may_fly(_view(run, vehicle, link))
+        if agreed:
+            ledger.event(clock.now_ns(), "agreed", dry_run=options.dry_run)
+            run.orders.give(Order.GO)
+            vehicle.engage()
+            _watch(run, vehicle, link, cockpit)
+    except KeyboardInterrupt:
+        cockpit.tell("interrupted")
+    finally:
+        vehicle.release()
+        run.over.wait(LEAVE_S)
+        run.stop()
+        at_end = take_down(run.flight, link)
+        _tell_all(run, cockpit)
+    mission = None if run.decision is None else run.decision.mission
+    about = {
+        "agreed": agreed,
+        "dry_run": options.dry_run,
+        "phase": None if mission is None else mission.phase.value,
+        "reason": None if mission is None else mission.reason.value,
+        "attempts": 0 if mission is None else mission.attempts,
+        "camera": source.counts(),
+        "camera_error": None if run.camera_error is None else str(run.camera_error),
+        **at_end,
+    }
+    return report(options.out, settings, run.flight, ledger, about, plot=options.plot)
+
+
+def _watch(run: _Run, vehicle: FlyingAutopilot, link: Link, cockpit: Cockpit) -> None:
+    """Until the mission has given the vehicle back."""
+    while True:
+        try:
+            while not run.over.wait(LOOK_S):
+                _tell_all(run, cockpit)
+                cockpit.show(_view(run, vehicle, link))
+            return
+        except KeyboardInterrupt:
+            if run.orders.now is Order.ABORT:
+                raise
+            run.orders.give(Order.ABORT)
+            cockpit.tell("abort: backing off; once more to give the vehicle back at once")
+
+
+def _tell_all(run: _Run, cockpit: Cockpit) -> None:
+    while True:
+        try:
+            cockpit.tell(run.sentences.get_nowait())
+        except queue.Empty:
+            return
+
+
+def _view(run: _Run, vehicle: FlyingAutopilot, link: Link) -> View:
+    return View(vehicle.state(), run.decision, run.flight.tally, link.workers())
+
+
+def _wait_for_vehicle(vehicle: FlyingAutopilot, timeout_s: float) -> None:
+    """Until it says where it is.
+
+    Raises:
+        AutopilotError: it does not, in time.
+    """
+    give_up = time.monotonic() + timeout_s
+    while True:
+        state = vehicle.state()
+        if state is not None and state.world_from_body is not None:
+            return
+        if time.monotonic() >= give_up:
+            break
+        time.sleep(0.02)
+    if state is None:
+        raise AutopilotError(
+            f"no heartbeat of an autopilot within {timeout_s:g} s: is --autopilot right, and does "
+            "the autopilot send to this machine?"
+        )
+    raise AutopilotError(
+        f"the autopilot ({state.mode}) does not say where it is within {timeout_s:g} s: its "
+        "estimator has no position; see drone-client doctor"
+    )
