@@ -32,7 +32,9 @@ from drone_client.ros.names import Flavour
 from drone_client.ros.publish import open_ros, publish_accepted
 from drone_client.run_report import SUMMARY_NAME
 from drone_client.settings import ClientSettings, about, known_name, load_settings
-from drone_client.source.replay import open_recording
+from drone_client.source.bag import BagOptions
+from drone_client.source.choose import open_recorded
+from drone_client.source.record_command import record
 from drone_client.summary_table import print_summary
 from drone_client.tally import Tally
 from drone_client.truth import load_truth
@@ -56,13 +58,32 @@ EXIT_NO_TARGET = 1
 
 @app.command(no_args_is_help=True)
 def replay(
-    folder: Annotated[
-        Path,
-        typer.Argument(help="recording in TUM RGB-D layout: rgb.txt, depth.txt, groundtruth.txt"),
+    recording: Annotated[
+        str,
+        typer.Argument(
+            help="folder in TUM RGB-D layout (rgb.txt, depth.txt, groundtruth.txt), ROS 2 bag "
+            "(folder, .db3), .mcap, or ROS 1 .bag"
+        ),
     ],
     camera: Annotated[
         Path | None,
-        typer.Option(help="camera JSON; without it FOLDER/camera.json", show_default=False),
+        typer.Option(
+            help="camera JSON; without it FOLDER/camera.json, or what the bag says",
+            show_default=False,
+        ),
+    ] = None,
+    color_topic: Annotated[
+        str | None, typer.Option(help="of a bag; without it the only one", show_default=False)
+    ] = None,
+    depth_topic: Annotated[
+        str | None, typer.Option(help="of a bag; without it the only one", show_default=False)
+    ] = None,
+    pose_topic: Annotated[
+        str | None,
+        typer.Option(
+            help="of a bag: Odometry, PoseStamped, or tf:WORLD:BODY; goes with --airframe",
+            show_default=False,
+        ),
     ] = None,
     connect: Annotated[str | None, typer.Option(help=about("connect"))] = None,
     out: Annotated[Path, typer.Option(help="folder for ledger, summary and plot")] = Path("RUN"),
@@ -142,12 +163,13 @@ def replay(
         ros_connect=ros_connect,
         ros_flavour=ros_flavour,
     )
-    source = open_recording(folder, camera)
     body = Airframe() if airframe is None else load_airframe(airframe)
+    topics = BagOptions(color_topic, depth_topic, pose_topic)
+    source = open_recorded(recording, camera, body, topics)
     entries = () if truth is None else load_truth(truth, len(source))
     options = ReplayOptions(out, as_fast_as_possible, entries, plot, overwrite)
     clock = MonotonicClock()
-    title = escape(folder.resolve().name)
+    title = escape(Path(recording).resolve().name)
     with _progress() as progress:
         task = progress.add_task("waiting for a worker", total=len(source), counts="")
 
@@ -177,6 +199,8 @@ def replay(
                 on_progress,
                 (lambda reception: None) if ros is None else partial(publish_accepted, ros),
             )
+    for note in source.notes:
+        _errors.print(f"warning: {note}", style="yellow", markup=False, soft_wrap=True)
     if as_json:
         print(json.dumps(summary, indent=2))
     else:
@@ -220,6 +244,7 @@ def snap(
 
 
 app.command(no_args_is_help=True)(calibrate)
+app.command(no_args_is_help=True)(record)
 
 
 def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:

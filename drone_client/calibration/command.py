@@ -23,7 +23,8 @@ from drone_client.calibration.report import (
 from drone_client.calibration.sighting import Miss, Sighting, sight
 from drone_client.calibration.verdicts import Finding, judge
 from drone_client.errors import ClientError
-from drone_client.source.replay import ReplaySource, open_recording
+from drone_client.source import Recording
+from drone_client.source.choose import open_recorded
 from drone_client.truth import load_truth
 from target_pose.errors import TargetError
 from target_pose.target import DEFAULT_TARGET, Target, load_round_target
@@ -32,8 +33,8 @@ EXIT_CODES = {Finding.GOOD: 0, Finding.OFF: 1, Finding.UNKNOWN: 2}
 
 
 def calibrate(
-    folder: Annotated[
-        Path, typer.Argument(help="recording in TUM RGB-D layout: rgb.txt, depth.txt")
+    recording: Annotated[
+        str, typer.Argument(help="folder in TUM RGB-D layout, ROS 2 bag, .mcap or ROS 1 .bag")
     ],
     camera: Annotated[
         Path | None,
@@ -85,9 +86,9 @@ def calibrate(
         printed = load_round_target(target)
     except TargetError as error:
         raise ClientError(str(error)) from None
-    source = open_recording(folder, camera)
+    source = open_recorded(recording, camera)
     where = _where(source, printed, worker, run, truth, timeout_s)
-    name = folder.resolve().name
+    name = Path(recording).resolve().name
     found = look(source, where, printed, frames, _progress(escape(name)))
     sightings = tuple(s for s in found if isinstance(s, Sighting))
     misses = tuple(m for m in found if isinstance(m, Miss))
@@ -103,7 +104,7 @@ def calibrate(
 
 
 def look(
-    source: ReplaySource,
+    source: Recording,
     where: WhereIsIt,
     target: Target,
     at_most: int,
@@ -139,7 +140,7 @@ def look(
 
 
 def _where(
-    source: ReplaySource,
+    source: Recording,
     target: Target,
     worker: str | None,
     run: Path | None,
