@@ -5,8 +5,8 @@
     ClientError          ends a command with one line that says what, where and what to do
     ├── SourceError      a recording or camera that cannot give frames
     ├── LinkError        an address that cannot be one, or nobody there
+    ├── AutopilotError   an address that cannot be one, or a line that cannot be opened
     ├── AirframeError    an airframe file that cannot be read
-    ├── AutopilotError   an address that cannot be one, or no vehicle there
     └── OutputError      a folder that cannot take the run's files
 """
 
@@ -25,13 +25,13 @@ class LinkError(ClientError):
     """An endpoint is malformed, or no worker answers there."""
 
 
+class AutopilotError(ClientError):
+    """The line to the autopilot is malformed or cannot be opened, or a parameter file is wrong."""
+
+
 class AirframeError(ClientError):
     """An airframe file is missing or malformed."""
 
 
 class OutputError(ClientError):
     """The run's folder cannot be written."""
-
-
-class AutopilotError(ClientError):
-    """An autopilot's address is malformed, or no vehicle answers there."""

@@ -161,7 +161,7 @@ def test_without_depth_there_is_nothing_to_compare(calibrate, tmp_path):
         ((RECORDING, "--truth", TRUTH, "--target", "none"), "no target 'none'; packaged: "),
         ((RECORDING, "--worker", "http://127.0.0.1:9"), "no answer from http://127.0.0.1:9"),
         ((RECORDING, "--worker", "nonsense"), "address 'nonsense' is none"),
-        (("none", "--truth", TRUTH), "recording none: no such folder"),
+        (("none", "--truth", TRUTH), "none: no such file or folder; a source is"),
         ((RECORDING, "--truth", TRUTH, "--plot", "x.svg"), "--plot x.svg: must end in .png"),
         ((RECORDING, "--truth", TRUTH, "--plot", "no/x.png"), "there is no folder no"),
     ],

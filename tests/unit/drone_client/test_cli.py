@@ -152,7 +152,7 @@ def test_every_flag_can_be_read_at_80_columns(command, monkeypatch, name):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["no-such-folder"], "recording no-such-folder: no such folder"),
+        (["no-such-folder"], "no-such-folder: no such file or folder; a source is"),
         (["rec", "--camera", "no.json"], "camera file no.json: No such file or directory"),
         (["rec", "--camera", "rec/rgb.txt"], "camera file rec/rgb.txt: not JSON: "),
         (["rec", "--camera", "wide.json"], "rec/rgb/0.png is 16x12, the camera file says 17x12"),
@@ -300,7 +300,9 @@ def test_the_installed_command_ends_without_a_traceback(tmp_path):
         [COMMAND, "replay", tmp_path / "nowhere"], capture_output=True, text=True, timeout=120
     )
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == f"drone-client: recording {tmp_path / 'nowhere'}: no such folder\n"
+    line = f"drone-client: {tmp_path / 'nowhere'}: no such file or folder; a source is "
+    assert done.stderr.startswith(line)
+    assert done.stderr.count("\n") == 1
 
 
 class Answering(http.server.ThreadingHTTPServer):
