@@ -7,6 +7,7 @@
     ├── LinkError        an address that cannot be one, or nobody there
     ├── AutopilotError   an address that cannot be one, or a line that cannot be opened
     ├── AirframeError    an airframe file that cannot be read
+    ├── TuningError      a tuning file that cannot be read, or holds a value that may not be
     └── OutputError      a folder that cannot take the run's files
 """
 
@@ -31,6 +32,10 @@ class AutopilotError(ClientError):
 
 class AirframeError(ClientError):
     """An airframe file is missing or malformed."""
+
+
+class TuningError(ClientError):
+    """A tuning file is missing or malformed, or a value in it is out of its bounds."""
 
 
 class OutputError(ClientError):
