@@ -41,8 +41,9 @@ def swap_body(v: Array) -> Array:
 
 
 def swap_attitude(q_wxyz: Array) -> Array:
-    """Quaternion (4,) ``wxyz`` of ENU-from-FLU as NED-from-FRD, or the other way round."""
-    return quaternion_product(quaternion_product(Q_NED_FROM_ENU_WXYZ, q_wxyz), Q_FRD_FROM_FLU_WXYZ)
+    """Quaternion (4,) ``wxyz`` of ENU-from-FLU as NED-from-FRD, or the other way round; w >= 0."""
+    q = quaternion_product(quaternion_product(Q_NED_FROM_ENU_WXYZ, q_wxyz), Q_FRD_FROM_FLU_WXYZ)
+    return -q if q[0] < 0 else q
 
 
 def swap_pose(pose: Pose) -> Pose:
