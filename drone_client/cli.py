@@ -23,6 +23,7 @@ from rich.text import Text
 from drone_client.airframe import Airframe, load_airframe
 from drone_client.calibration.command import calibrate
 from drone_client.errors import ClientError
+from drone_client.fly.command import fly
 from drone_client.ledger import LEDGER_NAME
 from drone_client.link.choose import link_summary, open_link
 from drone_client.plot import PLOT_NAME
@@ -243,6 +244,7 @@ def snap(
         raise typer.Exit(EXIT_NO_TARGET)
 
 
+app.command(no_args_is_help=True)(fly)
 app.command(no_args_is_help=True)(calibrate)
 app.command(no_args_is_help=True)(record)
 

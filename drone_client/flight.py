@@ -118,7 +118,7 @@ class Flight:
             eyes.target,
             Lookout(eyes.target, LookoutSettings(fresh_ns, max(fresh_ns, eyes.alone_max_ns))),
             lambda: self._receiver.word,
-            self._camera_at,
+            self.camera_at,
             self._clock,
             self._on_look,
         )
@@ -127,7 +127,7 @@ class Flight:
         self._ledger.look(line)
         self.tally.onboard += line["verdict"] == LookVerdict.ACCEPTED.value
 
-    def _camera_at(self, t_ns: int) -> Pose | None:
+    def camera_at(self, t_ns: int) -> Pose | None:
         """``world_from_camera`` at a time; None if the drone cannot know."""
         world_from_body = self._receiver.pose_at(t_ns)
         if world_from_body is None:
@@ -142,9 +142,15 @@ class Flight:
             self._own_eyes.start()
         self._control.start()
 
-    def capture(self, frame: RgbdFrame, name: str) -> None:
-        """Offer a frame to the workers."""
-        if frame.world_from_camera is not None:
+    def capture(self, frame: RgbdFrame, name: str, *, brings_pose: bool = True) -> None:
+        """Offer a frame to the workers.
+
+        Args:
+            frame: the pictures, with the camera's pose if it is known.
+            name: what people call it.
+            brings_pose: the pose was measured with the frame; else it is one that was kept here.
+        """
+        if brings_pose and frame.world_from_camera is not None:
             world_from_body = frame.world_from_camera @ self._camera_from_body
             self._receiver.add_pose(frame.t_capture_ns, world_from_body)
         sequence = self._uplink.submit(frame, name)

@@ -50,6 +50,8 @@ def summary_rows(summary: dict[str, Any]) -> dict[str, str]:
         "filter": counts("statuses"),
         "knowledge": counts("freshness"),
     }
+    if (phase := summary.get("phase")) is not None:
+        rows = {"mission": _mission(summary, phase)} | rows
     if (own := summary.get("onboard")) is not None:
         rows |= _onboard_rows(own)
     if (t := summary.get("truth")) is not None:
@@ -72,6 +74,15 @@ def summary_rows(summary: dict[str, Any]) -> dict[str, str]:
             f"{summary['one_way_bound_ms']['p50']:.1f} (to look at; the gate never asks)"
         )
     return rows | _tunnel_rows(summary["link"]) | _warnings(summary)
+
+
+def _mission(summary: dict[str, Any], phase: str) -> str:
+    """How a flight ended."""
+    attempts = summary["attempts"]
+    how = f"{phase} ({summary['reason']}), {attempts} approach{'es' * (attempts != 1)}"
+    if summary["dry_run"]:
+        return f"{how}; dry run, nothing was sent"
+    return how if summary["agreed"] else f"nobody agreed to it; {how}"
 
 
 def _onboard_rows(own: dict[str, Any]) -> dict[str, str]:

@@ -15,7 +15,7 @@ from drone_client.autopilot import FlyingAutopilot
 from drone_client.control import Decision
 from drone_client.errors import AutopilotError, SourceError
 from drone_client.flight import Flight
-from drone_client.flight_settings import FlightSettings, flight_settings
+from drone_client.flight_settings import FlightSettings
 from drone_client.fly.cockpit import Cockpit, View
 from drone_client.fly.dry_run import Unheard
 from drone_client.fly.orders import Orders
@@ -90,7 +90,7 @@ class _Run:
             pose,
             on_accepted,
             mission=begin(clock.now_ns()),
-            senses=lambda now_ns: Senses(vehicle.state(), order=self.orders.now),
+            senses=self._senses,
             on_decision=self._on_decision,
         )
 
@@ -106,7 +106,6 @@ class _Run:
             self._pump.join(timeout=5.0)
 
     def _run_pump(self) -> None:
-        number = 0
         try:
             for capture in self._source.captures(PICTURE_S):
                 if self._stopping.is_set():
@@ -118,15 +117,19 @@ class _Run:
                     depth_units=capture.depth_units,
                     camera=self._source.camera,
                     t_capture_ns=capture.t_source_ns,
-                    world_from_camera=None,
+                    world_from_camera=self.flight.camera_at(capture.t_source_ns),
                 )
-                self.flight.capture(frame, capture.name)
-                number += 1
+                self.flight.capture(frame, capture.name, brings_pose=False)
         except SourceError as error:
             # What is known grows old now, and that ends the approach; nothing else has to.
             self.camera_error = error
             self.sentences.put(f"no more pictures: {error}")
             self._ledger.event(self._clock.now_ns(), "camera_lost", error=str(error))
+
+    def _senses(self, now_ns: int) -> Senses:
+        # a vehicle that hears nothing of us obeys nobody, and is flown as if there were none
+        heard = None if isinstance(self._vehicle, Unheard) else self._vehicle.state()
+        return Senses(heard, order=self.orders.now)
 
     def _on_decision(self, decision: Decision) -> None:
         self.decision = decision
@@ -151,6 +154,7 @@ def fly(
     vehicle: FlyingAutopilot,
     airframe: Airframe,
     settings: ClientSettings,
+    parts: FlightSettings,
     options: FlyOptions,
     link: Link,
     clock: Clock,
@@ -167,7 +171,6 @@ def fly(
             vehicle.
     """
     yield_soon()
-    parts = flight_settings(settings)
     if options.dry_run:
         vehicle = Unheard(vehicle)
         control = replace(

@@ -1,0 +1,146 @@
+"""``drone-client fly``: the command line of the real thing."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from drone_client.airframe import load_airframe
+from drone_client.autopilot.choose import open_autopilot
+from drone_client.errors import ClientError
+from drone_client.flight_settings import flight_settings
+from drone_client.fly.run import FlyOptions
+from drone_client.fly.run import fly as run_fly
+from drone_client.fly.terminal import TerminalCockpit
+from drone_client.link.choose import link_summary, open_link
+from drone_client.mission import Phase
+from drone_client.ros.publish import open_ros, publish_accepted
+from drone_client.settings import about, load_settings
+from drone_client.source.choose import REALSENSE, open_live
+from drone_client.summary_table import print_summary
+from drone_client.tuning import load_tuning
+from rgbd_wire.clock import MonotonicClock
+
+EXIT_NOT_DONE = 3
+
+
+def fly(
+    airframe: Annotated[
+        Path, typer.Option(help="TOML with body_from_camera and body_from_tip of this drone")
+    ],
+    autopilot: Annotated[
+        str,
+        typer.Option(
+            help="udp/HOST:PORT, serial/DEVICE:BAUD; ardupilot+udp/... for ArduPilot's GUIDED"
+        ),
+    ] = "udp/127.0.0.1:14540",
+    source: Annotated[
+        str, typer.Option(help="realsense, or realsense:SERIAL where there are several")
+    ] = REALSENSE,
+    camera: Annotated[
+        Path | None,
+        typer.Option(help="camera JSON, in place of what the camera says", show_default=False),
+    ] = None,
+    tuning: Annotated[
+        Path | None,
+        typer.Option(help="TOML with numbers of mission, guidance and filter", show_default=False),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="send nothing to the vehicle, show the commands")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="take the vehicle without a question")] = False,
+    connect: Annotated[str | None, typer.Option(help=about("connect"))] = None,
+    out: Annotated[Path, typer.Option(help="folder for ledger, summary and plot")] = Path("RUN"),
+    name: Annotated[str | None, typer.Option(help=about("name"))] = None,
+    tau_max_ms: Annotated[float | None, typer.Option(help=about("tau_max_ms"))] = None,
+    age_max_ms: Annotated[float | None, typer.Option(help=about("age_max_ms"))] = None,
+    key_file: Annotated[Path | None, typer.Option(help=about("key_file"))] = None,
+    tls: Annotated[Path | None, typer.Option(help=about("tls"))] = None,
+    onboard_fallback: Annotated[
+        bool | None,
+        typer.Option("--onboard-fallback/--no-onboard-fallback", help=about("onboard_fallback")),
+    ] = None,
+    onboard_target: Annotated[str | None, typer.Option(help=about("onboard_target"))] = None,
+    ros_topic: Annotated[str | None, typer.Option(help=about("ros_topic"))] = None,
+    wait_for_vehicle_s: Annotated[
+        float, typer.Option(min=0.1, max=600, help="how long to wait for the autopilot's pose")
+    ] = 10.0,
+    plot: Annotated[
+        bool, typer.Option("--plot/--no-plot", help="draw run.png beside the ledger")
+    ] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="print the summary as JSON")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="an earlier run in the same folder may go")
+    ] = False,
+) -> None:
+    """Fly to contact with the target, hold it, and come back.
+
+    The drone hovers already, armed and taken off by its pilot, with the target in front of it.
+    The client asks before it takes the vehicle (OFFBOARD), arms nothing by itself, and lets go at
+    once when the pilot switches the mode. Ctrl-C: the drone backs off and is given back; once
+    more: it is given back where it is. With --dry-run nothing is sent: carry the drone by hand and
+    look at the commands.
+
+    Exit code 0: touched and back. 3: the mission ended otherwise, or nobody agreed.
+
+    Example: drone-client fly --airframe drone.toml --autopilot serial//dev/ttyACM0:921600
+    """
+    console = Console(stderr=True)
+    if not (yes or dry_run or sys.stdin.isatty()):
+        raise ClientError("nobody to ask: run it in a terminal, or with --yes or --dry-run")
+    settings = load_settings(
+        name=name,
+        connect=connect,
+        tau_max_ms=tau_max_ms,
+        age_max_ms=age_max_ms,
+        key_file=key_file,
+        tls=tls,
+        onboard_fallback=onboard_fallback,
+        onboard_target=onboard_target,
+        ros_topic=ros_topic,
+    )
+    body = load_airframe(airframe)
+    parts = flight_settings(settings)
+    if tuning is not None:
+        parts = replace(parts, control=load_tuning(tuning, parts.control))
+    options = FlyOptions(out, dry_run, wait_for_vehicle_s, plot, overwrite)
+    clock = MonotonicClock()
+    cockpit = TerminalCockpit(console, ask=not yes)
+    with ExitStack() as stack:
+        stack.callback(cockpit.close)
+        live = open_live(source, clock, camera=camera)
+        vehicle = open_autopilot(autopilot, clock)
+        stack.callback(vehicle.close)
+        link = open_link(settings, clock)
+        stack.callback(link.close)
+        for warning in link_summary(link).get("warnings", ()):
+            console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
+        ros = open_ros(settings, clock)
+        if ros is not None:
+            stack.callback(ros.close)
+        summary = run_fly(
+            live,
+            vehicle,
+            body,
+            settings,
+            parts,
+            options,
+            link,
+            clock,
+            cockpit,
+            (lambda reception: None) if ros is None else partial(publish_accepted, ros),
+        )
+    if as_json:
+        print(json.dumps(summary, indent=2))
+    else:
+        print_summary(summary)
+    if summary["phase"] != Phase.DONE.value:
+        raise typer.Exit(EXIT_NOT_DONE)
