@@ -76,6 +76,8 @@ def parse_address(address: str) -> tuple[Flavour, str, str, int]:
             f"autopilot {shown!r}: {flavour_name}+ is not known, only {known} (or nothing: PX4)"
         )
     place, colon, digits = rest.rpartition(":")
+    if not colon:
+        place, digits = rest, ""
     number = int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 9 else -1
     if kind == "serial":
         if not place.startswith("/"):
