@@ -148,7 +148,7 @@ def goals(result: dict[str, Any]) -> list[Goal]:
         (
             "the paper's gradient as printed",
             "shown to stall",
-            f"{printed['touched']} of {printed['flights']} touch; the others hang "
+            f"{printed['touched']} of {printed['flights']} touch; the rest hang "
             f"{_range([100 * v for v in printed['end_m']])} cm before the board",
             not printed["touched"],
         ),
@@ -227,9 +227,9 @@ def _link(lost: dict[str, Any]) -> list[str]:
         "",
         f"{lost['flights']} flights, the link silent from a random moment between 0.3 and 12 s on: "
         "on the way in, at the touch, or while it presses. From the age of 300 ms on the largest "
-        f"commanded approach was {lost['approach_mps']:.3f} m/s. Past the hold limit (600 ms) "
-        "nothing but standing or straight out was commanded after "
-        f"{lost['brake_late_ms']:.0f} ms. The vehicle itself, which lags, still closed in at up to "
+        f"commanded approach was {lost['approach_mps']:.3f} m/s. The last command that was anything "
+        "but standing or straight out ended "
+        f"{lost['brake_late_ms']:.0f} ms after the hold limit (600 ms). The vehicle itself, which lags, still closed in at up to "
         f"{lost['coasting_mps']:.3f} m/s 100 ms after that limit, and rolled on "
         f"{1e3 * lost['lost_m']:.1f} mm past 1.5 s, when the retreat begins. All ended "
         f"{lost['out_m']:.2f} m or further from the board.",
