@@ -48,7 +48,7 @@ def load_tuning(path: Path, settings: ControlSettings) -> ControlSettings:
 
 
 def _with(settings: Any, table: dict[str, Any], where: str) -> Any:
-    known = {field.name for field in fields(settings)}
+    known = {field.name for field in fields(settings) if field.init}
     changes: dict[str, Any] = {}
     for key, value in table.items():
         name = f"{where}{key}"
