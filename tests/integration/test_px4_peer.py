@@ -413,3 +413,26 @@ def _bridge(a: int, b: int, stop: threading.Event) -> None:
     while not stop.is_set():
         for fd in select.select([a, b], [], [], 0.05)[0]:
             os.write(b if fd == a else a, os.read(fd, 4096))
+
+
+def test_the_example_flies_its_square() -> None:
+    """The first flight of a new link, against the peer: four sides, and back in a hold."""
+    example = Path(__file__).parents[2] / "examples" / "px4" / "velocity_square.py"
+    port = free_udp_port()
+    peer = PeerProcess("--udp", f"127.0.0.1:{port}")
+    try:
+        run = subprocess.run(
+            [sys.executable, example, f"udp/127.0.0.1:{port}", "--yes", "--side-s", "0.5"],
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        assert run.returncode == 0, run.stderr
+        assert run.stdout.count("moved") == 4
+        assert "released: AUTO.LOITER" in run.stdout
+        report = peer.report()
+        assert report["violations"] == []
+        assert report["moving_setpoints"] > 40
+        assert len(example.read_text().splitlines()) <= 80
+    finally:
+        peer.close()
