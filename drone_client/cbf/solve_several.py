@@ -21,8 +21,8 @@ ROUNDING = 1e-12
 """The same where the simplest answer is looked at first."""
 PARALLEL = 1e-9
 """Sine of the angle below which two normals are one, or a third lies in the plane of two."""
-HALVINGS = 40
-"""Of the violation that planes which contradict each other share; a trillionth of it is left."""
+HALVINGS = 30
+"""Of the violation that planes which contradict each other share; a billionth of it is left."""
 
 
 class _Row(NamedTuple):
@@ -106,7 +106,7 @@ def _eased(rows: list[_Row], v: float) -> list[_Row]:
     low, high = 0.0, max(row.offset for row in rows)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if _nearest(ZERO, _moved_back(rows, middle), v) is None:
+        if _is_empty(_moved_back(rows, middle), v):
             low = middle
         else:
             high = middle
@@ -115,6 +115,17 @@ def _eased(rows: list[_Row], v: float) -> list[_Row]:
 
 def _moved_back(rows: list[_Row], by: float) -> list[_Row]:
     return [_Row(row.normal, row.offset - by) for row in rows]
+
+
+def _is_empty(rows: list[_Row], v: float) -> bool:
+    """Whether no velocity is in all of them: the point nearest to zero is that of its face."""
+    for (x, y, z), _ in _faces(rows, v):
+        for (nx, ny, nz), offset in rows:
+            if nx * x + ny * y + nz * z < offset - TOLERANCE:
+                break
+        else:
+            return False
+    return True
 
 
 def _nearest(goal: Vec3, rows: list[_Row], v: float) -> Vec3 | None:
@@ -188,19 +199,24 @@ def _faces(rows: list[_Row], v: float) -> Iterator[_Face]:
 
 def _cut(face: _Face, row: _Row, v: float) -> _Face | None:
     """The face cut with one more plane (a step of Gram and Schmidt's); None: not in the sphere."""
+    (nx, ny, nz), offset = row
     if len(face.axes) == 2:
-        new = cross(*face.axes)
-        sine = dot(row.normal, new)
+        axis = cross(*face.axes)
+        sine = nx * axis[0] + ny * axis[1] + nz * axis[2]
+        if abs(sine) < PARALLEL:
+            return None
     else:
-        new = face.along(row.normal)
-        sine = norm(new)
-    if abs(sine) < PARALLEL:
+        x, y, z = face.along(row.normal)
+        sine = math.hypot(x, y, z)
+        if sine < PARALLEL:
+            return None
+        axis = x / sine, y / sine, z / sine
+    x, y, z = face.point
+    k = (offset - (nx * x + ny * y + nz * z)) / sine
+    x, y, z = x + k * axis[0], y + k * axis[1], z + k * axis[2]
+    if not math.hypot(x, y, z) <= v + TOLERANCE:
         return None
-    axis = new if len(face.axes) == 2 else scaled(new, 1.0 / sine)
-    point = moved(face.point, axis, (row.offset - dot(row.normal, face.point)) / sine)
-    if not norm(point) <= v + TOLERANCE:
-        return None
-    return _Face(point, (*face.axes, axis))
+    return _Face((x, y, z), (*face.axes, axis))
 
 
 def _row(half_space: HalfSpace) -> _Row | None:

@@ -179,6 +179,11 @@ def tick(
             keep_outs,
             tuple(zip(axis, side, up, strict=True)),
             known.rows,
+            (
+                -(ax * ox + ay * oy + az * oz),
+                -(bx * ox + by * oy + bz * oz),
+                -(cx * ox + cy * oy + cz * oz),
+            ),
         )
     safe = filter_command(inp, limits)
     ux, uy, uz = safe.velocity_body_target

@@ -25,6 +25,7 @@ WHAT = {
     "hasty guidance": "mouth of 30 mm, guidance as hasty as its bounds let it",
     "outside": "starts outside the funnel, propellers kept out of the wall",
     "link lost": "link lost at a random moment",
+    "tunnel": "in a tunnel of 1.7 m x 0.6 m, link lost at a random moment",
     "contact": "noise as the localiser's, the whole target filter",
 }
 
@@ -209,14 +210,18 @@ def _flights(trials: dict[str, dict[str, Any]]) -> list[str]:
             f"| {WHAT[name]} | {t['flights']} | {t['touched']} | {len(t['outside'])} | {left} | "
             f"{_three(beside, '.1f')} | {_three(closing, '.3f')} | {_three(waits, '.0f')} |"
         )
-    gap = trials["outside"]["gap_mm"]
+    gap, narrow = trials["outside"]["gap_mm"], trials["tunnel"]
     return [
         *lines,
         "",
         "With the start values and a noise of 1 cm the drone waits before the board: the error "
         "ball (17 to 18 mm) is larger than what the mouth of 20 mm admits (docs/cbf.md, section "
-        "3), and nobody could promise where it would touch. With a mouth of 30 mm it touches. From "
-        f"outside, no propeller came nearer to the wall than {gap:.0f} mm.",
+        "3), and nobody could promise where it would touch. With a mouth of 30 mm it touches. "
+        f"From outside, no propeller came nearer to the wall than {gap:.0f} mm. In the tunnel, "
+        f"none came nearer to any side than {narrow['gap_mm']:.0f} mm, of which 100 mm are its "
+        "clearance. While it waits there blind, the doubt about both walls grows by 1 cm/s, and "
+        f"it moves to the middle: the tip came nearer to the board by {narrow['lost_m']:.2f} m at "
+        f"most, at {narrow['approach_mps']:.3f} m/s at most.",
         "",
     ]
 
@@ -225,11 +230,11 @@ def _link(lost: dict[str, Any]) -> list[str]:
     return [
         "## Link lost",
         "",
-        f"{lost['flights']} flights, the link silent from a random moment between 0.3 and 12 s on: "
-        "on the way in, at the touch, or while it presses. From the age of 300 ms on the largest "
-        f"commanded approach was {lost['approach_mps']:.3f} m/s. The last command that was anything "
-        "but standing or straight out ended "
-        f"{lost['brake_late_ms']:.0f} ms after the hold limit (600 ms). The vehicle itself, which lags, still closed in at up to "
+        f"{lost['flights']} flights, the link silent from a random moment between 0.3 and 12 s "
+        "on: on the way in, at the touch, or while it presses. From the age of 300 ms on the "
+        f"largest commanded approach was {lost['approach_mps']:.3f} m/s. The last command that was "
+        f"anything but standing or straight out ended {lost['brake_late_ms']:.0f} ms after the "
+        "hold limit (600 ms). The vehicle itself, which lags, still closed in at up to "
         f"{lost['coasting_mps']:.3f} m/s 100 ms after that limit, and rolled on "
         f"{1e3 * lost['lost_m']:.1f} mm past 1.5 s, when the retreat begins. All ended "
         f"{lost['out_m']:.2f} m or further from the board.",

@@ -45,6 +45,13 @@ PROPELLERS = tuple(
     BodyPart((x, y, 0.06), 0.19, (0.0, 0.0, 1.0)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)
 )
 WALL = KeepOut("wall", PROPELLERS, clearance_m=0.10)
+TUNNEL = (
+    WALL,
+    KeepOut("other wall", PROPELLERS, (-1.0, 0.0, 0.0), -1.7),
+    KeepOut("floor", PROPELLERS, (0.0, 0.0, 1.0), -0.3),
+    KeepOut("ceiling", PROPELLERS, (0.0, 0.0, -1.0), -0.3),
+)
+"""So narrow that a retreat does not reach the stand-off distance."""
 
 
 def inside(rng: random.Random) -> Vec3:
@@ -55,6 +62,11 @@ def inside(rng: random.Random) -> Vec3:
         p = (x, rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6))
         if funnel.h(p) >= 0.0:
             return p
+
+
+def in_tunnel(rng: random.Random) -> Vec3:
+    """A tip outside the funnel or in it, its body clear of the tunnel's sides."""
+    return rng.uniform(0.1, 0.5), rng.uniform(-0.3, 0.3), rng.uniform(-0.1, 0.05)
 
 
 def outside(rng: random.Random) -> Vec3:
@@ -91,13 +103,20 @@ TRIALS = {
     "hasty guidance": Trial(LOOSE, 2_000, WIDE, HASTY),
     "outside": Trial(
         World(0.3, 0.15, 15.0, 0.0005, 0.001, 0.004, seconds=40.0, quick_eyes=True),
-        3_000,
+        5_000,
         keep_outs=(WALL,),
         start=outside,
     ),
     "link lost": Trial(
         World(0.3, 0.15, 15.0, 0.0005, 0.001, 0.004, seconds=25.0, quick_eyes=True),
         10_000,
+        loses_link=True,
+    ),
+    "tunnel": Trial(
+        World(0.3, 0.15, 15.0, 0.0005, 0.001, 0.004, seconds=16.0, quick_eyes=True),
+        2_000,
+        keep_outs=TUNNEL,
+        start=in_tunnel,
         loses_link=True,
     ),
     "contact": Trial(LOCALISER, 1_000),

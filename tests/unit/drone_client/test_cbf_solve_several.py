@@ -150,7 +150,7 @@ def test_where_nothing_fits_the_keep_outs_are_missed_least(
     near = np.array(u) + rng.normal(size=(100, 3)) * rng.choice([1e-6, 1e-3, 0.3], size=(100, 1))
     for there in near:
         there *= min(1.0, v_max / max(np.linalg.norm(there), 1e-300))
-        assert violation(there, keep_outs) >= worst - 3e-9
+        assert violation(there, keep_outs) >= worst - 5e-9
 
 
 def test_floor_and_ceiling_share_what_is_too_little() -> None:
