@@ -173,7 +173,7 @@ def page(result: dict[str, Any], command: str) -> str:
         "",
         f"Made by `{command}` on {result['machine']}. The service, the client and its camera share",
         f"{result['cores']} cores: 15 pictures a second are decoded, coded, sent over Zenoh,",
-        "detected and localised; control ticks at 50 Hz. Lateness: from when a tick was due to when",
+        "detected and localised; control ticks at 50 Hz. Lateness: from when one was due to when",
         "it began.",
         "",
         "| | goal | as it flies | without `promptness.py` |",
