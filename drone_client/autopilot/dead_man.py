@@ -44,6 +44,9 @@ class DeadManSettings:
     silent_after_ms: float = 300.0
     """So long after the newest command nothing is sent any more. Shorter than the autopilot's own
     COM_OF_LOSS_T, so that it is the autopilot that decides."""
+    silence_max_ms: float = 400.0
+    """After so long a silence the engagement is over. Less than COM_OF_LOSS_T: the autopilot is
+    about to act by itself, and a process that wakes up must not take the vehicle back from it."""
     speed_max_mps: float = 2.0
     yaw_rate_max_radps: float = 2.0
     future_max_ms: float = 5.0
@@ -54,6 +57,10 @@ class DeadManSettings:
             raise ValueError(
                 f"dead man: 0 < zero_after_ms = {self.zero_after_ms:g} <= silent_after_ms = "
                 f"{self.silent_after_ms:g} <= 1000 does not hold"
+            )
+        if not 100.0 <= self.silence_max_ms <= 3000.0:
+            raise ValueError(
+                f"dead man: silence_max_ms = {self.silence_max_ms:g} is not in [100, 3000]"
             )
         for name, high in (("speed_max_mps", 10.0), ("yaw_rate_max_radps", 4.0)):
             if not 0.0 < getattr(self, name) <= high:
@@ -129,3 +136,8 @@ def leaving(newest: Setpoint | None, now_ns: int, settings: DeadManSettings) -> 
     if age_ns <= settings.silent_after_ms * NS_PER_MS:
         return stand_still(newest.t_ns)
     return None
+
+
+def given_up(sent_ns: int, now_ns: int, settings: DeadManSettings) -> bool:
+    """Whether the last setpoint left so long ago (at ``sent_ns``) that the engagement is over."""
+    return now_ns - sent_ns > settings.silence_max_ms * NS_PER_MS

@@ -21,6 +21,7 @@ from drone_client.autopilot.dead_man import (
     Refused,
     Setpoint,
     checked,
+    given_up,
     leaving,
     stand_still,
 )
@@ -115,6 +116,7 @@ class MavlinkAutopilot:
             clock, self._ask_parameter, bytewise=flavour.bytewise_parameters
         )
         self._newest: Setpoint | None = None
+        self._sent_ns = 0
         self._lock = threading.RLock()
         self._send_lock = threading.Lock()
         self._packer = mav.MAVLink(None, srcSystem=1, srcComponent=settings.own_component)
@@ -138,13 +140,10 @@ class MavlinkAutopilot:
     def command(self, command: VelocityCommand) -> None:
         """Take the newest command; never blocks, never raises. A refused one counts as none."""
         with self._lock:
-            newest = self._newest
-            result = checked(
-                command,
-                self._clock.now_ns(),
-                None if newest is None else newest.t_ns,
-                self._settings.dead_man,
-            )
+            now_ns = self._clock.now_ns()
+            self._give_up_if_late(now_ns)
+            newest_ns = None if self._newest is None else self._newest.t_ns
+            result = checked(command, now_ns, newest_ns, self._settings.dead_man)
             if isinstance(result, Refused):
                 self.refused[f"command_{result.value}"] += 1
             else:
@@ -256,14 +255,18 @@ class MavlinkAutopilot:
 
     def _tick(self, now_ns: int) -> None:
         with self._lock:
+            self._give_up_if_late(now_ns)
             step = self._order.step(now_ns)
             setpoint = self._setpoint(step.flow, now_ns)
             self._mark_silence()
         # Outside of the lock, and not later: the setpoint is what is urgent
         if setpoint is not None:
-            self.setpoints += self._send_to_vehicle(
+            sent = self._send_to_vehicle(
                 lambda s, c: messages.velocity_setpoint(setpoint, now_ns, s, c)
             )
+            if sent:  # one that the line dropped is silence, as far as the autopilot knows
+                self.setpoints += 1
+                self._sent_ns = now_ns
         if step.ask is not None:
             main, sub = self._flavour.take if step.ask is Ask.TAKE else self._flavour.hold
             self._send_to_vehicle(lambda s, c: messages.set_mode(main, sub, s, c))
@@ -280,12 +283,20 @@ class MavlinkAutopilot:
             case Flow.ZERO:
                 return stand_still(now_ns)
             case Flow.COMMANDS:
-                newest, engaged_ns = self._newest, self._order.engaged_ns
-                if engaged_ns is not None and (newest is None or newest.t_ns < engaged_ns):
-                    newest = stand_still(engaged_ns)  # the control loop's first one is on its way
-                return leaving(newest, now_ns, self._settings.dead_man)
+                return leaving(self._flown(), now_ns, self._settings.dead_man)
             case _:
                 return None
+
+    def _flown(self) -> Setpoint | None:
+        newest, engaged_ns = self._newest, self._order.engaged_ns
+        if engaged_ns is not None and (newest is None or newest.t_ns < engaged_ns):
+            return stand_still(engaged_ns)  # the control loop's first one is on its way
+        return newest
+
+    def _give_up_if_late(self, now_ns: int) -> None:
+        if given_up(self._sent_ns, now_ns, self._settings.dead_man):
+            self._order.give_up(now_ns, "no setpoint left for too long")
+            self._mark_silence()
 
     def _ask_time(self) -> None:
         with self._lock:

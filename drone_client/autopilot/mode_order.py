@@ -178,6 +178,11 @@ class ModeOrder:
             case _:
                 pass
 
+    def give_up(self, now_ns: int, reason: str) -> None:
+        """What should fly the vehicle is gone: silence, and its failsafe acts."""
+        if self.phase is Phase.ENGAGED:
+            self._enter(Phase.SILENT, now_ns, reason)
+
     def answered(self, answer: Answer, now_ns: int) -> None:
         """Take the answer to the last question."""
         if self.phase not in (Phase.ASKING, Phase.LEAVING) or not self._asked:

@@ -150,8 +150,8 @@ def test_when_the_control_loop_stops_zero_then_silence_then_the_failsafe(pair: P
     assert max(still) <= 301
     # Nobody asks again by himself, though commands flow again
     requests = len(report["set_mode_requests"])
-    until(lambda: pair.autopilot.phase == "silent", "the switch is noticed")
-    assert "AUTO.LOITER" in pair.autopilot.reason
+    until(lambda: pair.autopilot.phase == "silent", "the engagement is over")
+    assert pair.autopilot.reason == "no setpoint left for too long"
     seen = len(report["heartbeats"])
     pair.commander.fly((0.3, 0.0, 0.0), lambda: len(pair.peer.report()["heartbeats"]) >= seen + 2)
     after = pair.peer.report()
@@ -178,10 +178,8 @@ def test_a_stopped_process_is_silence_and_its_waking_sends_no_burst(tmp_path: Pa
         woken = peer.report()
         assert woken["mode"] == "AUTO.LOITER"
         assert len(woken["set_mode_requests"]) == 1
-        # Until the first heartbeat tells of the other mode some setpoints may leave; no burst
-        extra = [row[0] for row in woken["timeline"][len(stopped["timeline"]) :]]
-        assert len(extra) <= 50
-        assert all(b - a > 10 for a, b in zip(extra, extra[2:], strict=False))
+        # Its engagement ended with the pause; one may have been on its way into the socket
+        assert woken["setpoints"] <= stopped["setpoints"] + 1
         assert woken["violations"] == []
     finally:
         ours.kill()
@@ -212,7 +210,7 @@ def test_a_killed_peer_grows_old_and_one_that_comes_back_is_a_new_clock(pair: Pa
     """Its last heartbeat stays the last; the restarted one is heard, and its clock learnt anew."""
     pair.take_off()
     pair.peer.kill()
-    until(lambda: pair.autopilot.phase == "silent", "noticing")
+    pair.commander.fly((0.1, 0.0, 0.0), lambda: pair.autopilot.phase == "silent")
     assert "heartbeat" in pair.autopilot.reason
     state = pair.autopilot.state()
     assert state is not None

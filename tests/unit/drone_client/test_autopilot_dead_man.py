@@ -15,6 +15,7 @@ from drone_client.autopilot.dead_man import (
     Refused,
     Setpoint,
     checked,
+    given_up,
     leaving,
     stand_still,
 )
@@ -38,6 +39,12 @@ def test_the_three_ages(age_ms: float, expected: str | None) -> None:
     left = leaving(newest, NOW + round(age_ms * MS), SETTINGS)
     answers = {"flown": newest, "zero": stand_still(NOW), None: None}
     assert left == answers[expected]
+
+
+def test_after_a_long_silence_the_engagement_is_over() -> None:
+    """At 400 ms, before PX4's COM_OF_LOSS_T of 500 ms."""
+    assert not given_up(NOW, NOW + 400 * MS, SETTINGS)
+    assert given_up(NOW, NOW + 400 * MS + 1, SETTINGS)
 
 
 def test_without_a_command_nothing_leaves() -> None:
@@ -91,6 +98,7 @@ def test_refusals_have_their_reason(bad: VelocityCommand, reason: Refused) -> No
         {"zero_after_ms": 0.0},
         {"zero_after_ms": 400.0},
         {"silent_after_ms": 2000.0},
+        {"silence_max_ms": 50.0},
         {"speed_max_mps": math.nan},
         {"yaw_rate_max_radps": 10.0},
         {"future_max_ms": -1.0},

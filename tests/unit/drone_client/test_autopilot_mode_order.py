@@ -182,6 +182,17 @@ def test_lost_heartbeats_end_it() -> None:
     assert steps[-1] == Step(Flow.NOTHING)
 
 
+def test_giving_up_is_silence() -> None:
+    """What should fly it is gone; while it is not ours, that changes nothing."""
+    world = World()
+    world.order.give_up(world.now_ms * MS, "gone")
+    assert world.order.reason == "not engaged"
+    world.engage()
+    world.order.give_up(world.now_ms * MS, "gone")
+    assert world.tick() == Step(Flow.NOTHING)
+    assert world.order.reason == "gone"
+
+
 def test_release_is_zero_then_hold_then_silence() -> None:
     """The mode that holds is asked for while zeros flow; they end when it is there."""
     world = World()
