@@ -12,6 +12,7 @@ from drone_client.cbf.freshness import Freshness, freshness
 from drone_client.cbf.funnel import Funnel
 from drone_client.cbf.half_space import HalfSpace, build
 from drone_client.cbf.keep_out import BodyPart, KeepOut, PlaneFrame, Stance, gaps_m, half_spaces
+from drone_client.cbf.keep_out_table import keep_outs_from
 from drone_client.cbf.limits import alpha, closing_limit_mps
 from drone_client.cbf.next_step import Hold, checked
 from drone_client.cbf.settings import FilterSettings
@@ -48,6 +49,7 @@ __all__ = [
     "freshness",
     "gaps_m",
     "half_spaces",
+    "keep_outs_from",
     "paper_funnel",
     "solve",
     "solve_several",
