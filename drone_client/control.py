@@ -18,6 +18,7 @@ from drone_client.airframe import Airframe
 from drone_client.autopilot import VelocityCommand
 from drone_client.cbf.filter import FilterInput, SafeCommand, filter_command
 from drone_client.cbf.freshness import freshness
+from drone_client.cbf.keep_out import KeepOut, Rotation
 from drone_client.cbf.settings import FilterSettings
 from drone_client.cbf.vector import Vec3, cross
 from drone_client.guidance import TO_CONTACT, GuidanceSettings, guide, yaw_error_rad
@@ -55,6 +56,8 @@ class ControlSettings:
     mission: MissionSettings = field(default_factory=MissionSettings)
     guidance: GuidanceSettings = field(default_factory=GuidanceSettings)
     filter: FilterSettings = field(default_factory=FilterSettings)
+    keep_outs: tuple[KeepOut, ...] = ()
+    """Planes that propellers and body stay clear of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +143,10 @@ def decide(
                     range_m=estimate.range_m,
                     sigma_m=estimate.seen_sigma_m,
                     unconfirmed_ns=unconfirmed_ns,
+                    keep_outs=settings.keep_outs,
+                    target_from_body=_rows(scene.target_from_body.rotation),
+                    target_from_world=_rows(scene.world_from_target_rotation.T),
+                    world_origin_target=scene.world_origin_target,
                 ),
                 settings.filter,
             )
@@ -156,6 +163,8 @@ class _Scene(NamedTuple):
     """Tip and body as the target sees them."""
 
     target_from_tip: Pose
+    target_from_body: Pose
+    world_origin_target: Vec3
     world_from_target_rotation: Array  # (3, 3)
     tip_target: Vec3
     tip_world: Vec3
@@ -170,6 +179,8 @@ def _scene(estimate: TargetEstimate, world_from_body: Pose, airframe: Airframe) 
     target_from_tip = target_from_body @ airframe.body_from_tip
     return _Scene(
         target_from_tip,
+        target_from_body,
+        _vec3(target_from_world.translation),
         target_from_world.rotation.T,
         _vec3(target_from_tip.translation),
         _vec3(world_from_body @ airframe.body_from_tip.translation),
@@ -219,6 +230,11 @@ def _told(safe: SafeCommand, scene: _Scene) -> Told:
 def stop_command(now_ns: int) -> VelocityCommand:
     """The command to stand still."""
     return VelocityCommand(np.zeros(3), 0.0, now_ns)
+
+
+def _rows(rotation: Array) -> Rotation:
+    a, b, c = rotation
+    return _vec3(a), _vec3(b), _vec3(c)
 
 
 def _vec3(v: Array) -> Vec3:

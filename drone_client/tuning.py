@@ -14,6 +14,7 @@ MAX_TUNING_BYTES = 65_536
 
 NOT_FROM_A_FILE = frozenset(
     {
+        "keep_outs",
         "filter.variant",
         "filter.allow_unsafe_variant",
         "filter.period_s",

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from drone_client.airframe import load_airframe
 from drone_client.autopilot.choose import open_autopilot
-from drone_client.errors import ClientError
+from drone_client.errors import AirframeError, ClientError
 from drone_client.flight_settings import flight_settings
 from drone_client.fly.run import FlyOptions
 from drone_client.fly.run import fly as run_fly
@@ -52,6 +52,14 @@ def fly(
     tuning: Annotated[
         Path | None,
         typer.Option(help="TOML with numbers of mission, guidance and filter", show_default=False),
+    ] = None,
+    floor_m: Annotated[
+        float | None,
+        typer.Option(help="height of a floor in the odometry's world", show_default=False),
+    ] = None,
+    ceiling_m: Annotated[
+        float | None,
+        typer.Option(help="height of a ceiling in the odometry's world", show_default=False),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="send nothing to the vehicle, show the commands")
@@ -111,6 +119,13 @@ def fly(
     parts = flight_settings(settings)
     if tuning is not None:
         parts = replace(parts, control=load_tuning(tuning, parts.control))
+    planes = [body.wall]
+    try:
+        planes += [] if floor_m is None else [body.floor(floor_m)]
+        planes += [] if ceiling_m is None else [body.ceiling(ceiling_m)]
+    except ValueError as error:
+        raise AirframeError(str(error)) from None
+    parts = replace(parts, control=replace(parts.control, keep_outs=tuple(planes)))
     options = FlyOptions(out, dry_run, wait_for_vehicle_s, plot, overwrite)
     clock = MonotonicClock()
     cockpit = TerminalCockpit(console, ask=not yes)

@@ -1,10 +1,16 @@
 """Airframe files: what they may say, and one line for what they may not."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from drone_client.airframe import FLU_FROM_RDF, MAX_AIRFRAME_BYTES, Airframe, load_airframe
+from drone_client.cbf import FilterSettings
+from drone_client.cbf.keep_out import Stance, gaps_m
 from drone_client.errors import AirframeError
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "airframe.toml"
 
 
 def test_reads_both_poses(tmp_path):
@@ -55,6 +61,15 @@ def test_the_default_camera_looks_ahead():
         (b"[body_from_tip]\ntranslation_m = [550, 0, 0]", "over 5 m"),
         (b"[body_from_tip]\ntranslation_m = [0, 0, 0]\nq_wxyz = [2, 0, 0, 0]", "unit length"),
         (b"[body_from_tip]\ntranslation_m = [0, 0, 0]\nroll = 1", "unknown 'roll'"),
+        (b"part = 3", "[[part]] must be there 1 to 32 times"),
+        (b"[[part]]\nradius_m = 1", "[[part]] number 1 lacks center_m or radius_m"),
+        (b"[[part]]\ncenter_m = [0, 0]\nradius_m = 1", "center_m must be three numbers"),
+        (b"[[part]]\ncenter_m = [0, 0, '1']\nradius_m = 1", "center_m must be a number"),
+        (b"[[part]]\ncenter_m = [0, 0, 9]\nradius_m = 1", "number 1: BodyPart.center_body"),
+        (b"[[part]]\ncenter_m = [0, 0, 1]\nradius_m = -1", "number 1: BodyPart.radius_m"),
+        (b"[[part]]\ncenter_m = [0, 0, 1]\nradius_m = 1\naxis = [0, 0, 2]", "unit length"),
+        (b"wall_clearance_m = true", "wall_clearance_m must be a number"),
+        (b"wall_clearance_m = 7", "clearance_m = 7.0 is not in"),
         (b"#" * (MAX_AIRFRAME_BYTES + 1), "over 65536 bytes"),
         (b"x = " + b"[" * 5000, ""),
     ],
@@ -69,6 +84,35 @@ def test_a_wrong_file_gives_one_line_with_its_name_and_what_is_wrong(tmp_path, t
     assert line.startswith(f"airframe file {path}: ")
     assert says in line
     assert "\n" not in line
+
+
+def test_the_example_is_the_default_drone():
+    """So that it can be copied and changed."""
+    written, default = load_airframe(EXAMPLE), Airframe()
+    np.testing.assert_allclose(
+        written.body_from_camera.matrix, default.body_from_camera.matrix, atol=1e-12
+    )
+    np.testing.assert_array_equal(written.body_from_tip.matrix, default.body_from_tip.matrix)
+    assert set(written.parts) == set(default.parts)
+    assert written.wall_clearance_m == default.wall_clearance_m
+
+
+def test_the_arm_reaches_the_wall_before_the_propellers_do():
+    """Pressed to the full depth, with the largest ball that the funnel admits there."""
+    drone = Airframe()
+    pressed = -FilterSettings().depth_max_m / 2
+    tip, arm = (pressed, 0.0, 0.0), (-0.55, 0.0, 0.0)
+    turned = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+    stance = Stance(tip, arm, (0.0, 0.0, 1.0), turned)
+    assert min(gaps_m(drone.wall, stance, 0.014)) > 0
+
+
+def test_floor_and_ceiling_are_planes_of_the_world():
+    """Their free sides face each other."""
+    drone = Airframe()
+    assert drone.floor(0.2).normal == (0.0, 0.0, 1.0)
+    assert drone.ceiling(2.5).normal == (0.0, 0.0, -1.0)
+    assert drone.ceiling(2.5).offset_m == -2.5
 
 
 def test_a_missing_file_is_told(tmp_path):
