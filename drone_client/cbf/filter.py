@@ -182,6 +182,8 @@ def _at_yaw_rate(yaw_rate: float, funnel: HalfSpace, tick: _Tick) -> Solution:
         tip_velocity, halvings = checked(tip_velocity, hold, v_max, kept_out)
         if halvings and status is Status.INACTIVE:
             status = Status.ACTIVE
+        if halvings and kept_out is not None and not hold.is_met(tip_velocity, v_max):
+            status = Status.MAX_HDOT
     return Solution(tip_velocity, status)
 
 

@@ -52,6 +52,10 @@ class Hold(NamedTuple):
         h_now = self.barrier.h(self.p_target, self.delta_m)
         return (1.0 - self.alpha * self.period_s) * h_now
 
+    def is_met(self, u_target: Vec3, v_max: float) -> bool:
+        """Whether this tip velocity reaches what is required."""
+        return self.h_next(u_target) >= self.h_required(v_max) - ROUNDING_M
+
     def retreat(self, v_max: float) -> Vec3:
         """The slowest velocity straight out along +x that meets ``h_required`` [m/s].
 
@@ -80,9 +84,9 @@ def checked(
             the retreat is not enough any more, the best of what was tried is taken.
 
     Returns:
-        The velocity and the number of halvings, ``HALVINGS`` meaning the retreat itself.
+        The velocity and the number of halvings, ``HALVINGS`` meaning that none was enough.
     """
-    best, most, halved = u_target, hold.h_next(u_target), 0
+    best, most = u_target, hold.h_next(u_target)
     if most >= hold.h_decayed() - ROUNDING_M:  # nearly always, and never less than required
         return u_target, 0
     required = hold.h_required(v_max) - ROUNDING_M
@@ -99,7 +103,7 @@ def checked(
         if h_next >= required:
             return u_target, halvings
         if h_next > most:
-            best, most, halved = u_target, h_next, halvings
+            best, most = u_target, h_next
     if kept_out is not None and hold.h_next(retreat) < most:
-        return best, halved
+        return best, HALVINGS
     return retreat, HALVINGS

@@ -319,6 +319,26 @@ def test_the_funnel_and_a_plane_behind_leave_what_both_allow() -> None:
     assert abs(command.velocity_body_target[0]) < 0.02
 
 
+@settings(max_examples=300)
+@given(
+    st.tuples(st.floats(0, 0.3), st.floats(-0.02, 0.02), st.floats(-0.02, 0.02)),
+    st.tuples(*[st.floats(-1, 1)] * 3),
+    st.floats(0, 0.05),
+)
+def test_beside_planes_less_than_required_is_said(tip, wish, room) -> None:
+    """With a plane close behind, the end of the period is as required or the status MAX_HDOT."""
+    behind = dataclasses.replace(BEHIND, offset_m=-(tip[0] + 0.55 + 0.39 + 0.1 + 0.013 + room))
+    inp = state(tip, (WALL, behind), wish)
+    command = filter_command(inp, SETTINGS)
+    if command.status in (Status.MAX_HDOT, Status.ABORT):
+        return
+    after = moved_on(inp, command, SETTINGS.period_s)
+    h_next = Funnel().h(after.tip_target, command.delta_m)
+    alpha = SETTINGS.alpha_near
+    decayed = (1 - alpha * SETTINGS.period_s) * command.h_robust
+    assert h_next >= min(decayed, command.h_robust + 0.4 * SETTINGS.period_s) - 1e-6
+
+
 BROKEN = [math.nan, math.inf, 10**400, 1e300]
 
 
