@@ -17,8 +17,9 @@ import re
 from drone_client.autopilot.ardupilot import ARDUPILOT
 from drone_client.autopilot.flavour import Flavour
 from drone_client.autopilot.line import Line, SerialLine, UdpLine
-from drone_client.autopilot.mavlink import AutopilotSettings, MavlinkAutopilot
+from drone_client.autopilot.mavlink import MavlinkAutopilot
 from drone_client.autopilot.px4 import PX4
+from drone_client.autopilot.settings import AutopilotSettings
 from drone_client.errors import AutopilotError
 from rgbd_wire.clock import Clock
 

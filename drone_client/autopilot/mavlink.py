@@ -10,14 +10,13 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mav
 
 from drone_client.autopilot import VehicleState, VelocityCommand, messages
 from drone_client.autopilot.dead_man import (
-    DeadManSettings,
     Refused,
     Setpoint,
     checked,
@@ -27,9 +26,11 @@ from drone_client.autopilot.dead_man import (
 )
 from drone_client.autopilot.flavour import Flavour
 from drone_client.autopilot.line import Line, Received
-from drone_client.autopilot.mode_order import Answer, Ask, Flow, Heard, ModeOrder, OrderSettings
+from drone_client.autopilot.mode_order import Answer, Ask, Flow, Heard, ModeOrder
 from drone_client.autopilot.parameter_reader import ParameterReader
 from drone_client.autopilot.receiver import Receiver
+from drone_client.autopilot.sender import Sender
+from drone_client.autopilot.settings import AutopilotSettings
 from drone_client.autopilot.timesync import Timesync
 from drone_client.autopilot.vehicle import Vehicle
 from drone_client.odometry import OdometrySample, RangeSample
@@ -50,34 +51,6 @@ _ANSWERS = {
     mav.MAV_RESULT_ACCEPTED: Answer.ACCEPTED,
     mav.MAV_RESULT_UNSUPPORTED: Answer.NEVER,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class AutopilotSettings:
-    """How we speak with the autopilot.
-
-    Raises:
-        ValueError: a value is out of its bounds.
-    """
-
-    rate_hz: float = 50.0
-    """Of the setpoints."""
-    system: int | None = None
-    """The autopilot's system id; None: the first autopilot that is heard."""
-    component: int = mav.MAV_COMP_ID_AUTOPILOT1
-    own_system: int | None = None
-    """Ours; None: the vehicle's, as is usual for a computer on board."""
-    own_component: int = mav.MAV_COMP_ID_ONBOARD_COMPUTER
-    dead_man: DeadManSettings = field(default_factory=DeadManSettings)
-    order: OrderSettings = field(default_factory=OrderSettings)
-
-    def __post_init__(self) -> None:
-        if not 20.0 <= self.rate_hz <= 100.0:
-            raise ValueError(f"autopilot: rate_hz = {self.rate_hz} is not in [20, 100]")
-        for name in ("system", "component", "own_system", "own_component"):
-            value = getattr(self, name)
-            if value is not None and not 1 <= value <= 255:
-                raise ValueError(f"autopilot: {name} = {value} is not in [1, 255]")
 
 
 class MavlinkAutopilot:
@@ -118,8 +91,7 @@ class MavlinkAutopilot:
         self._newest: Setpoint | None = None
         self._sent_ns = 0
         self._lock = threading.RLock()
-        self._send_lock = threading.Lock()
-        self._packer = mav.MAVLink(None, srcSystem=1, srcComponent=settings.own_component)
+        self._sender = Sender(line, self._receiver, settings)
         self._peer_heard_ns: int | None = None
         self._peer: Any = None
         self._heartbeat_ns: int | None = None
@@ -261,7 +233,7 @@ class MavlinkAutopilot:
             self._mark_silence()
         # Outside of the lock, and not later: the setpoint is what is urgent
         if setpoint is not None:
-            sent = self._send_to_vehicle(
+            sent = self._sender.to_vehicle(
                 lambda s, c: messages.velocity_setpoint(setpoint, now_ns, s, c)
             )
             if sent:  # one that the line dropped is silence, as far as the autopilot knows
@@ -269,10 +241,10 @@ class MavlinkAutopilot:
                 self._sent_ns = now_ns
         if step.ask is not None:
             main, sub = self._flavour.take if step.ask is Ask.TAKE else self._flavour.hold
-            self._send_to_vehicle(lambda s, c: messages.set_mode(main, sub, s, c))
+            self._sender.to_vehicle(lambda s, c: messages.set_mode(main, sub, s, c))
         if _due(self._heartbeat_ns, now_ns, HEARTBEAT_NS):
             self._heartbeat_ns = now_ns
-            self._send(messages.heartbeat())
+            self._sender.send(messages.heartbeat())
         if _due(self._timesync_ns, now_ns, TIMESYNC_NS):
             self._timesync_ns = now_ns
             self._ask_time()
@@ -303,7 +275,7 @@ class MavlinkAutopilot:
             if self._receiver.system is None:
                 return
             ts1_ns = self._timesync.ask(self._clock.now_ns())
-        self._send(messages.timesync(0, ts1_ns))
+        self._sender.send(messages.timesync(0, ts1_ns))
 
     def _ask_rates(self, now_ns: int) -> None:
         with self._lock:
@@ -315,9 +287,7 @@ class MavlinkAutopilot:
                 return
             self._rates_asked_ns = now_ns
         for message_id, rate_hz in self._flavour.rates_hz.items():
-            self._send_to_vehicle(
-                lambda s, c, i=message_id, r=rate_hz: messages.message_interval(i, r, s, c)
-            )
+            self._sender.to_vehicle(partial(messages.message_interval, message_id, rate_hz))
 
     def _mark_silence(self) -> None:
         if self._order.phase.value == "silent":
@@ -398,14 +368,14 @@ class MavlinkAutopilot:
 
     def _handle_timesync(self, message: mav.MAVLink_message, now_ns: int) -> None:
         if message.tc1 == 0:
-            self._send(messages.timesync(self._clock.now_ns(), int(message.ts1)))
+            self._sender.send(messages.timesync(self._clock.now_ns(), int(message.ts1)))
             return
         with self._lock:
             self._timesync.answered(int(message.tc1), int(message.ts1), now_ns)
 
     def _handle_ack(self, message: mav.MAVLink_message) -> None:
         # One that names somebody else answers somebody else's question
-        for_us = (message.target_system in (0, self._own_system())) and (
+        for_us = (message.target_system in (0, self._sender.own_system)) and (
             message.target_component in (0, self._settings.own_component)
         )
         if message.command != mav.MAV_CMD_DO_SET_MODE or not for_us:
@@ -427,25 +397,10 @@ class MavlinkAutopilot:
         if message is None:
             self.refused[f"{what}_sample"] += 1
         else:
-            self._send(message)
+            self._sender.send(message)
 
     def _ask_parameter(self, name: str) -> None:
-        self._send_to_vehicle(lambda s, c: messages.parameter_request(name, s, c))
-
-    def _own_system(self) -> int:
-        return self._settings.own_system or self._receiver.system or 1
-
-    def _send_to_vehicle(self, build: Any) -> bool:
-        """Send what is addressed to the vehicle, once it is known."""
-        system = self._receiver.system
-        return system is not None and self._send(build(system, self._receiver.component))
-
-    def _send(self, message: mav.MAVLink_message) -> bool:
-        with self._send_lock:
-            self._packer.srcSystem = self._own_system()
-            data = message.pack(self._packer)
-            self._packer.seq = (self._packer.seq + 1) % 256
-            return self._line.write(data)
+        self._sender.to_vehicle(lambda s, c: messages.parameter_request(name, s, c))
 
 
 def _due(last_ns: int | None, now_ns: int, period_ns: int) -> bool:

@@ -11,8 +11,9 @@ from pymavlink.dialects.v20 import common as mav
 from drone_client.autopilot.ardupilot import ARDUPILOT
 from drone_client.autopilot.flavour import Flavour
 from drone_client.autopilot.line import Received
-from drone_client.autopilot.mavlink import AutopilotSettings, MavlinkAutopilot
+from drone_client.autopilot.mavlink import MavlinkAutopilot
 from drone_client.autopilot.px4 import PX4
+from drone_client.autopilot.settings import AutopilotSettings
 from drone_client.odometry import OdometrySample, RangeSample
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.geometry import Pose

@@ -19,7 +19,7 @@ import pytest
 
 from drone_client.autopilot import VelocityCommand
 from drone_client.autopilot.choose import open_autopilot
-from drone_client.autopilot.mavlink import AutopilotSettings
+from drone_client.autopilot.settings import AutopilotSettings
 from drone_client.odometry import OdometrySample, RangeSample
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.geometry import Pose, quaternion_from_rotation, rotation_from_vector

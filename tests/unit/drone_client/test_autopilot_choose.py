@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 from drone_client.autopilot.choose import open_autopilot, parse_address
 from drone_client.autopilot.line import SerialLine
-from drone_client.autopilot.mavlink import AutopilotSettings
 from drone_client.autopilot.parameter_reader import parameter_value
 from drone_client.autopilot.parameters import (
     load_parameter_file,
     packaged_parameters,
     parse_parameters,
 )
+from drone_client.autopilot.settings import AutopilotSettings
 from drone_client.errors import AutopilotError
 from rgbd_wire.clock import MonotonicClock
 
