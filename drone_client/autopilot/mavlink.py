@@ -181,9 +181,10 @@ class MavlinkAutopilot:
     def counts(self) -> dict[str, int]:
         """What was sent, taken and refused, for logs and ``--json``."""
         with self._lock:
-            counts = {f"in_{k.lower()}": n for k, n in self._receiver.accepted.items()}
+            # Copies: the listener counts what it refuses without the lock
+            counts = {f"in_{k.lower()}": n for k, n in dict(self._receiver.accepted).items()}
             for group in (self._receiver.refused, self._vehicle.refused, self.refused):
-                for reason, n in group.items():
+                for reason, n in dict(group).items():
                     counts[f"refused_{reason}"] = counts.get(f"refused_{reason}", 0) + n
             return counts | {
                 "setpoints": self.setpoints,
@@ -306,6 +307,7 @@ class MavlinkAutopilot:
             except Exception:
                 # The boundary of this thread: whatever came, the next one is listened to
                 self.errors += 1
+                self._stopping.wait(READ_TIMEOUT_S)
 
     def _take(self, received: Received, now_ns: int) -> None:
         if received.source != self._peer and self._peer_is_heard(now_ns):
