@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from drone_client.cbf.keep_out import MAX_PARTS, BodyPart, KeepOut, PlaneFrame
-from drone_client.cbf.vector import Vec3
+from drone_client.cbf.keep_out import BodyPart, KeepOut, PlaneFrame
+from drone_client.cbf.keep_out_table import keep_outs_from
 from drone_client.errors import AirframeError
 from rgbd_wire.errors import GeometryError
 from rgbd_wire.geometry import Array, Pose
@@ -22,15 +22,21 @@ MAX_ARM_M = 5.0
 """Nothing on a drone is further than this from its body; metres are easily mistaken."""
 
 
-_QUADROTOR = (
-    BodyPart((0.0, 0.0, 0.0), 0.22),
+_QUADROTOR = [
+    {"name": "body", "center_body_m": [0.0, 0.0, 0.0], "radius_m": 0.22},
     *(
-        BodyPart((0.23 * x, 0.23 * y, 0.05), 0.17, (0.0, 0.0, 1.0))
-        for x in (-1.0, 1.0)
-        for y in (-1.0, 1.0)
+        {
+            "name": f"{fore} {side} propeller",
+            "center_body_m": [0.23 * x, 0.23 * y, 0.05],
+            "radius_m": 0.17,
+            "axis_body": [0.0, 0.0, 1.0],
+        }
+        for fore, x in (("front", 1), ("rear", -1))
+        for side, y in (("left", 1), ("right", -1))
     ),
-)
+]
 """A frame of 650 mm with propellers of 13 inches."""
+_WALL = [{"name": "wall", "clearance_m": 0.08}]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,32 +51,29 @@ class Airframe:
         default_factory=lambda: Pose(np.array([0.55, 0.0, 0.0]), Pose.identity().q_wxyz)
     )
     """End of the unloaded arm; its axes are the body's."""
-    parts: tuple[BodyPart, ...] = field(default_factory=lambda: _QUADROTOR)
-    """Propellers and body: what may touch nothing."""
-    wall_clearance_m: float = 0.08
-    """What they keep from the target's wall beside the error ball."""
-
-    @property
-    def wall(self) -> KeepOut:
-        """The wall that the target hangs on; the arm alone may touch it."""
-        return KeepOut("wall", self.parts, clearance_m=self.wall_clearance_m)
+    keep_outs: tuple[KeepOut, ...] = field(default_factory=lambda: _keep_outs({}))
+    """What propellers and body stay clear of; at least the wall of the target."""
 
     def floor(self, height_m: float) -> KeepOut:
         """A floor at a height in the odometry's world [m]."""
-        return KeepOut("floor", self.parts, (0.0, 0.0, 1.0), height_m, PlaneFrame.WORLD)
+        return KeepOut("floor", self._parts, (0.0, 0.0, 1.0), height_m, PlaneFrame.WORLD)
 
     def ceiling(self, height_m: float) -> KeepOut:
         """A ceiling at a height in the odometry's world [m]."""
-        return KeepOut("ceiling", self.parts, (0.0, 0.0, -1.0), -height_m, PlaneFrame.WORLD)
+        return KeepOut("ceiling", self._parts, (0.0, 0.0, -1.0), -height_m, PlaneFrame.WORLD)
+
+    @property
+    def _parts(self) -> tuple[BodyPart, ...]:
+        return tuple(dict.fromkeys(part for plane in self.keep_outs for part in plane.parts))
 
 
 def load_airframe(path: Path) -> Airframe:
     """Read an airframe TOML.
 
     It may hold ``[body_from_camera]`` and ``[body_from_tip]``, each with ``translation_m`` and an
-    optional ``q_wxyz``; ``[[part]]`` for each propeller and part of the body, with ``center_m``,
-    ``radius_m`` and, for a flat disc, its ``axis``; and ``wall_clearance_m``. What is left out
-    keeps its default.
+    optional ``q_wxyz``; ``[[part]]`` for each propeller and part of the body, and ``[[keep_out]]``
+    for each plane that they stay clear of (``cbf/keep_out_table.py``; without one, the wall of the
+    target). What is left out keeps its default.
 
     Raises:
         AirframeError: with the path, the field at fault and what it may be.
@@ -81,17 +84,14 @@ def load_airframe(path: Path) -> Airframe:
         if len(data) > MAX_AIRFRAME_BYTES:
             raise AirframeError(f"over {MAX_AIRFRAME_BYTES} bytes")
         raw = tomllib.loads(data.decode("utf-8"))
-        known = ("body_from_camera", "body_from_tip", "part", "wall_clearance_m")
+        known = ("body_from_camera", "body_from_tip", "part", "keep_out")
         _check_keys("the file", raw, known)
         defaults = Airframe()
-        airframe = Airframe(
+        return Airframe(
             _pose(raw, "body_from_camera", defaults.body_from_camera),
             _pose(raw, "body_from_tip", defaults.body_from_tip),
-            _parts(raw["part"]) if "part" in raw else defaults.parts,
-            _number(raw.get("wall_clearance_m", defaults.wall_clearance_m), "wall_clearance_m"),
+            _keep_outs(raw),
         )
-        _ = airframe.wall  # its bounds are checked where they are at home
-        return airframe
     except OSError as error:
         raise AirframeError(f"airframe file {path}: {error.strerror}") from None
     except (ValueError, RecursionError, AirframeError) as error:
@@ -124,33 +124,6 @@ def _pose(raw: dict[str, Any], name: str, default: Pose) -> Pose:
     return pose
 
 
-def _parts(raw: object) -> tuple[BodyPart, ...]:
-    if not isinstance(raw, list) or not 1 <= len(raw) <= MAX_PARTS:
-        raise AirframeError(f"[[part]] must be there 1 to {MAX_PARTS} times")
-    parts = []
-    for number, table in enumerate(raw, 1):
-        where = f"[[part]] number {number}"
-        if not isinstance(table, dict) or not {"center_m", "radius_m"} <= table.keys():
-            raise AirframeError(f"{where} lacks center_m or radius_m")
-        _check_keys(where, table, ("center_m", "radius_m", "axis"))
-        axis = None if "axis" not in table else _triple(table["axis"], f"{where}: axis")
-        center = _triple(table["center_m"], f"{where}: center_m")
-        radius = _number(table["radius_m"], f"{where}: radius_m")
-        try:
-            parts.append(BodyPart(center, radius, axis))
-        except ValueError as error:
-            raise AirframeError(f"{where}: {error}") from None
-    return tuple(parts)
-
-
-def _triple(raw: object, where: str) -> Vec3:
-    if not isinstance(raw, list) or len(raw) != 3:
-        raise AirframeError(f"{where} must be three numbers")
-    x, y, z = (_number(v, where) for v in raw)
-    return x, y, z
-
-
-def _number(raw: object, where: str) -> float:
-    if isinstance(raw, bool) or not isinstance(raw, int | float):
-        raise AirframeError(f"{where} must be a number")
-    return float(raw)
+def _keep_outs(raw: dict[str, Any]) -> tuple[KeepOut, ...]:
+    tables = {"part": raw.get("part", _QUADROTOR), "keep_out": raw.get("keep_out", _WALL)}
+    return keep_outs_from(tables)

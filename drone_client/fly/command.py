@@ -119,7 +119,7 @@ def fly(
     parts = flight_settings(settings)
     if tuning is not None:
         parts = replace(parts, control=load_tuning(tuning, parts.control))
-    planes = [body.wall]
+    planes = list(body.keep_outs)
     try:
         planes += [] if floor_m is None else [body.floor(floor_m)]
         planes += [] if ceiling_m is None else [body.ceiling(ceiling_m)]

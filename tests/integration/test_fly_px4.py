@@ -94,7 +94,7 @@ def flight(tmp_path_factory) -> dict[str, Any]:
             # a busy machine's pictures are old: the ball is larger, and so is the mouth
             wide = replace(parts.control.filter, funnel=Funnel(r_c_m=0.03))
             control = replace(
-                parts.control, mission=mission, filter=wide, keep_outs=(AIRFRAME.wall,)
+                parts.control, mission=mission, filter=wide, keep_outs=AIRFRAME.keep_outs
             )
             link = open_link(settings, CLOCK)
             try:

@@ -61,15 +61,10 @@ def test_the_default_camera_looks_ahead():
         (b"[body_from_tip]\ntranslation_m = [550, 0, 0]", "over 5 m"),
         (b"[body_from_tip]\ntranslation_m = [0, 0, 0]\nq_wxyz = [2, 0, 0, 0]", "unit length"),
         (b"[body_from_tip]\ntranslation_m = [0, 0, 0]\nroll = 1", "unknown 'roll'"),
-        (b"part = 3", "[[part]] must be there 1 to 32 times"),
-        (b"[[part]]\nradius_m = 1", "[[part]] number 1 lacks center_m or radius_m"),
-        (b"[[part]]\ncenter_m = [0, 0]\nradius_m = 1", "center_m must be three numbers"),
-        (b"[[part]]\ncenter_m = [0, 0, '1']\nradius_m = 1", "center_m must be a number"),
-        (b"[[part]]\ncenter_m = [0, 0, 9]\nradius_m = 1", "number 1: BodyPart.center_body"),
-        (b"[[part]]\ncenter_m = [0, 0, 1]\nradius_m = -1", "number 1: BodyPart.radius_m"),
-        (b"[[part]]\ncenter_m = [0, 0, 1]\nradius_m = 1\naxis = [0, 0, 2]", "unit length"),
-        (b"wall_clearance_m = true", "wall_clearance_m must be a number"),
-        (b"wall_clearance_m = 7", "clearance_m = 7.0 is not in"),
+        (b"part = 3", "part must be a list of tables"),
+        (b"[[part]]\nname = 'a'\nradius_m = 1", "part 'a': center_body_m = None"),
+        (b"[[keep_out]]\nname = 'wall'\nclearance_m = 7", "clearance_m = 7.0 is not in"),
+        (b"[[keep_out]]\nname = 'wall'\nparts = ['wing']", "known: body, front left"),
         (b"#" * (MAX_AIRFRAME_BYTES + 1), "over 65536 bytes"),
         (b"x = " + b"[" * 5000, ""),
     ],
@@ -93,8 +88,7 @@ def test_the_example_is_the_default_drone():
         written.body_from_camera.matrix, default.body_from_camera.matrix, atol=1e-12
     )
     np.testing.assert_array_equal(written.body_from_tip.matrix, default.body_from_tip.matrix)
-    assert set(written.parts) == set(default.parts)
-    assert written.wall_clearance_m == default.wall_clearance_m
+    assert written.keep_outs == default.keep_outs
 
 
 def test_the_arm_reaches_the_wall_before_the_propellers_do():
@@ -104,7 +98,9 @@ def test_the_arm_reaches_the_wall_before_the_propellers_do():
     tip, arm = (pressed, 0.0, 0.0), (-0.55, 0.0, 0.0)
     turned = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
     stance = Stance(tip, arm, (0.0, 0.0, 1.0), turned)
-    assert min(gaps_m(drone.wall, stance, 0.014)) > 0
+    (wall,) = drone.keep_outs
+    assert len(wall.parts) == 5
+    assert min(gaps_m(wall, stance, 0.014)) > 0
 
 
 def test_floor_and_ceiling_are_planes_of_the_world():
@@ -113,6 +109,7 @@ def test_floor_and_ceiling_are_planes_of_the_world():
     assert drone.floor(0.2).normal == (0.0, 0.0, 1.0)
     assert drone.ceiling(2.5).normal == (0.0, 0.0, -1.0)
     assert drone.ceiling(2.5).offset_m == -2.5
+    assert drone.floor(0.2).parts == drone.keep_outs[0].parts
 
 
 def test_a_missing_file_is_told(tmp_path):

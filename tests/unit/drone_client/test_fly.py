@@ -131,7 +131,7 @@ class Scene:
             parts.control.mission, standoff_m=0.4, seen_s=0.2, aligned_s=0.2, dwell_s=0.3
         )
         mission = replace(mission, attempts=1, hold_max_s=2.0)
-        control = replace(parts.control, mission=mission, keep_outs=(AIRFRAME.wall,))
+        control = replace(parts.control, mission=mission, keep_outs=AIRFRAME.keep_outs)
         self.parts = replace(parts, control=control)
         self.link = MemoryLink(CLOCK, answering(self._look))
 
