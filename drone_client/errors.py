@@ -27,7 +27,7 @@ class LinkError(ClientError):
 
 
 class AutopilotError(ClientError):
-    """The line to the autopilot is malformed or cannot be opened, or a parameter file is wrong."""
+    """An autopilot's address is malformed, its line cannot be opened, or no vehicle answers there."""
 
 
 class AirframeError(ClientError):

@@ -59,6 +59,11 @@ class Autopilot(Protocol):
 class FlyingAutopilot(Autopilot, Protocol):
     """An autopilot of a real or a simulated vehicle. Every method returns at once, none raises."""
 
+    @property
+    def reason(self) -> str:
+        """In words: where asking for the vehicle stands, and why."""
+        ...
+
     def state(self) -> VehicleState | None:
         """The newest state; None: never heard."""
         ...

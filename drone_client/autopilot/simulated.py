@@ -86,6 +86,11 @@ class SimulatedAutopilot:
             else:
                 self._newest = result
 
+    @property
+    def reason(self) -> str:
+        """The mode is there at once."""
+        return "the mode is there" if self.mode == "OFFBOARD" else "not engaged"
+
     def state(self) -> VehicleState:
         """The state now."""
         with self._lock:

@@ -39,7 +39,8 @@ def fly(
     autopilot: Annotated[
         str,
         typer.Option(
-            help="udp/HOST:PORT, serial/DEVICE:BAUD; ardupilot+udp/... for ArduPilot's GUIDED"
+            help="udp/HOST:PORT listens, udpout/HOST:PORT speaks first, serial/DEVICE:BAUD; "
+            "ardupilot+udp/... for ArduPilot's GUIDED"
         ),
     ] = "udp/127.0.0.1:14540",
     source: Annotated[

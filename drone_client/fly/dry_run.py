@@ -18,6 +18,11 @@ class Unheard:
         """Remember the command."""
         self.last = command
 
+    @property
+    def reason(self) -> str:
+        """Nothing is asked for."""
+        return "a dry run"
+
     def state(self) -> VehicleState | None:
         """The vehicle's own."""
         return self._vehicle.state()

@@ -215,9 +215,13 @@ def fly(
 
 def _watch(run: _Run, vehicle: FlyingAutopilot, link: Link, cockpit: Cockpit) -> None:
     """Until the mission has given the vehicle back."""
+    reason = ""
     while True:
         try:
             while not run.over.wait(LOOK_S):
+                if vehicle.reason != reason:
+                    reason = vehicle.reason
+                    run.sentences.put(f"autopilot: {reason}")
                 _tell_all(run, cockpit)
                 cockpit.show(_view(run, vehicle, link))
             return
