@@ -27,7 +27,7 @@ class LinkError(ClientError):
 
 
 class AutopilotError(ClientError):
-    """An autopilot's address is malformed, its line cannot be opened, or no vehicle answers there."""
+    """An autopilot's address is malformed, its line cannot be opened, or nobody answers there."""
 
 
 class AirframeError(ClientError):
