@@ -20,7 +20,6 @@ import cv2
 import numpy as np
 
 from drone_client.target import (
-    ODOMETRY_SIGMA_RAD,
     Source,
     TargetEstimate,
     TargetMeasurement,
@@ -148,7 +147,7 @@ def predict(
     camera_from_target = world_from_camera.inverse() @ newest.world_from_target
     range_m = float(np.linalg.norm(camera_from_target.translation))
     position = _predicted(anchor, t_capture_ns)[:3, :3]
-    position = position + (ODOMETRY_SIGMA_RAD * range_m) ** 2 * np.eye(3)
+    position = position + (anchor.budget.sigma_rad * range_m) ** 2 * np.eye(3)
     if not _gate_reach_m(position) <= _reach_max_m(target):
         return LookVerdict.TOO_UNSURE
     faces = float(camera_from_target.rotation[:, 0] @ camera_from_target.translation) < 0
@@ -185,6 +184,8 @@ def look(frame: RgbdFrame, prediction: Prediction, target: Target) -> Look:
         found.camera_from_target,
         found.covariance,
         frame.t_capture_ns,
+        epoch=prediction.anchor.epoch,
+        budget=prediction.anchor.budget,
     )
     if not share >= MIN_SHADES_SHARE:
         return Look(LookVerdict.WRONG_RINGS, "", found, measurement, share)
@@ -206,14 +207,14 @@ def judge(measurement: TargetMeasurement, anchor: TargetEstimate, target: Target
     off = distance2(m.world_from_target, anchor.world_from_target, spread)
     if not off <= GATE_CHI2:
         return Look(LookVerdict.OFF_PREDICTION, measurement=m, distance2=off)
-    fused, done = update(replace(anchor, outliers=0), m)
+    fused, done = update(replace(anchor, outliers=0), m, anchor.budget)
     if done is not Update.FUSED:
         # Position and normal agree, the turn about the normal does not
         return Look(LookVerdict.OFF_PREDICTION, "roll", measurement=m, distance2=off)
     alone_ns = m.t_capture_ns - anchor.t_capture_ns
     estimate = replace(
         fused,
-        covariance=fused.covariance + drift_covariance(alone_ns),
+        covariance=fused.covariance + drift_covariance(alone_ns, anchor.budget),
         source=Source.ONBOARD,
         t_confirmed_ns=anchor.t_capture_ns,
     )
@@ -248,7 +249,8 @@ def distance2(seen: Pose, predicted: Pose, spread: Array) -> float:
 
 def _predicted(anchor: TargetEstimate, t_capture_ns: int) -> Array:
     """Covariance (6, 6) of the edge's last word at a later time."""
-    return anchor.covariance + drift_covariance(t_capture_ns - anchor.t_capture_ns)
+    alone_ns = t_capture_ns - anchor.t_capture_ns
+    return anchor.covariance + drift_covariance(alone_ns, anchor.budget)
 
 
 def _gate_reach_m(position: Array) -> float:

@@ -19,6 +19,8 @@ from drone_client.pose_buffer import PoseBuffer
 from drone_client.sent_frames import SentFrames
 from drone_client.target import (
     MAX_VARIANCE,
+    USUAL_BUDGET,
+    OdometryBudget,
     TargetEstimate,
     TargetMeasurement,
     Update,
@@ -56,7 +58,8 @@ class Reception:
     update: Update | None
     """None: the gate refused it, or it has no target."""
     measurement: TargetMeasurement | None
-    """In the world, as composed on board; None: no target, or the drone knew no pose."""
+    """In the world, as composed on board; None: no target, or the drone knew no pose, or the
+    world was another."""
     pending: frozenset[str] = frozenset()
     """Workers that have a copy of the frame and have not answered it yet."""
 
@@ -77,7 +80,7 @@ class EdgeWord:
     """The last that the edge has said of the target."""
 
     estimate: TargetEstimate | None
-    """Where it is believed to be; None: never seen."""
+    """Where it is believed to be; None: not seen since the odometry's world began."""
     t_denied_ns: int | None
     """Exposure of the newest accepted frame in which a worker saw no target; None: none yet."""
 
@@ -102,6 +105,8 @@ class Receiver:
         on_result: Callable[[Reception], None],
         on_echo: Callable[[Probe, int], None] = lambda probe, t4_ns: None,
         on_status: Callable[[Status], None] = lambda status: None,
+        *,
+        budget: OdometryBudget = USUAL_BUDGET,
     ) -> None:
         """Take over the callbacks; all run on the link's thread.
 
@@ -115,6 +120,7 @@ class Receiver:
             on_result: every result for this drone, whatever the gate says of it.
             on_echo: a probe's echo, and when it came [ns, drone's clock].
             on_status: a worker's status.
+            budget: how wrong the drone's own odometry may be.
         """
         self.rejects: Counter[Reject] = Counter()
         self.foreign = 0
@@ -126,17 +132,28 @@ class Receiver:
         self._on_result = on_result
         self._on_echo = on_echo
         self._on_status = on_status
+        self._budget = budget
         self._lock = threading.Lock()
         self._sent = SentFrames(gate)
         self._poses = PoseBuffer()
         self._estimate: TargetEstimate | None = None
+        self._lost: TargetEstimate | None = None
         self._t_denied_ns: int | None = None
 
     @property
     def estimate(self) -> TargetEstimate | None:
-        """Where the target is believed to be; None: never seen."""
+        """Where the target is believed to be; None: not seen since the odometry's world began."""
         with self._lock:
             return self._estimate
+
+    @property
+    def lost(self) -> TargetEstimate | None:
+        """What was known of the target when the odometry jumped, until it is measured again.
+
+        In a world that is no more: it tells that the target was near, and no place to fly by.
+        """
+        with self._lock:
+            return self._lost
 
     @property
     def word(self) -> EdgeWord:
@@ -149,8 +166,19 @@ class Receiver:
         with self._lock:
             self._poses.add(t_ns, world_from_body)
 
+    def begin_epoch(self, t_ns: int) -> None:
+        """The odometry jumped: what is known of the target does not hold in its new world.
+
+        Args:
+            t_ns: of the first pose that is told in it, drone's clock.
+        """
+        with self._lock:
+            self._poses.begin_epoch(t_ns)
+            self._lost = self._estimate or self._lost
+            self._estimate = None
+
     def pose_at(self, t_ns: int) -> Pose | None:
-        """``world_from_body`` at a time; None if the drone cannot know."""
+        """``world_from_body`` at a time; None if the drone cannot know, or it was another world."""
         with self._lock:
             return self._poses.at(t_ns)
 
@@ -228,18 +256,23 @@ class Receiver:
     def _fuse(
         self, target: TargetPose, t_capture_ns: int
     ) -> tuple[Update, TargetMeasurement | None]:
-        world_from_body = self._poses.at(t_capture_ns)
-        if world_from_body is None:
+        located = self._poses.find(t_capture_ns)
+        if located is None:
             return Update.NO_POSE, None
+        if located.epoch != self._poses.epoch:
+            return Update.BEFORE_JUMP, None
         measurement = measure(
-            world_from_body @ self._body_from_camera,
+            located.pose @ self._body_from_camera,
             pose_of(target.camera_from_target),
             unpack_covariance(target.covariance),
             t_capture_ns,
+            epoch=located.epoch,
+            budget=self._budget,
         )
         if target.ambiguous:
             return Update.AMBIGUOUS, measurement
         if np.trace(measurement.covariance) > MAX_VARIANCE:
             return Update.TOO_UNSURE, measurement
-        self._estimate, done = update(self._estimate, measurement)
+        self._estimate, done = update(self._estimate, measurement, self._budget)
+        self._lost = None
         return done, measurement

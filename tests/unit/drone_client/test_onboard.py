@@ -21,8 +21,7 @@ from drone_client.onboard import (
     predict,
 )
 from drone_client.target import (
-    DRIFT_MPS,
-    DRIFT_RADPS,
+    USUAL_BUDGET,
     Source,
     TargetMeasurement,
     Update,
@@ -127,7 +126,9 @@ def test_an_accepted_look_is_the_edges_word_fused_with_it_and_widened_by_what_no
     np.testing.assert_allclose(
         got.estimate.world_from_target.matrix, fused.world_from_target.matrix
     )
-    growth = (np.repeat([DRIFT_MPS, DRIFT_RADPS], 3) * dt_ns / SECOND) ** 2
+    growth = (
+        np.repeat([USUAL_BUDGET.drift_mps, USUAL_BUDGET.drift_radps], 3) * dt_ns / SECOND
+    ) ** 2
     np.testing.assert_allclose(np.diag(got.estimate.covariance), np.diag(fused.covariance) + growth)
     assert got.estimate.source is Source.ONBOARD
     assert got.estimate.t_confirmed_ns == world.T0_NS
@@ -143,7 +144,9 @@ def test_what_is_further_off_than_drift_explains_is_refused(off_m, dt_ns, axis):
     step[axis] = off_m
     m = measured(world.perturbed(world.WORLD_FROM_TARGET, step), world.T0_NS + dt_ns)
     got = judge(m, world.edge_estimate(), world.TARGET)
-    reach = np.sqrt(GATE_CHI2 * (2 * world.COVARIANCE[0, 0] + (DRIFT_MPS * dt_ns / 1e9) ** 2))
+    reach = np.sqrt(
+        GATE_CHI2 * (2 * world.COVARIANCE[0, 0] + (USUAL_BUDGET.drift_mps * dt_ns / 1e9) ** 2)
+    )
     expected = LookVerdict.OFF_PREDICTION if off_m > reach + 1e-9 else LookVerdict.ACCEPTED
     assert got.verdict is expected
     assert (got.estimate is None) is (expected is not LookVerdict.ACCEPTED)

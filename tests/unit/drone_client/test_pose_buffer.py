@@ -109,3 +109,71 @@ def test_is_bounded_and_forgets_the_oldest():
     assert len(buffer) == 3
     assert buffer.at(96 * 100 * MS) is None
     assert_same(buffer.at(97 * 100 * MS), pose((97, 0, 0)))
+
+
+def test_nothing_is_interpolated_across_a_jump():
+    """Between the last pose of one world and the first of the next lies no pose of either."""
+    buffer = PoseBuffer()
+    buffer.add(0, pose((0, 0, 0)))
+    buffer.add(50 * MS, pose((1, 0, 0)))
+    buffer.begin_epoch(100 * MS)
+    buffer.add(100 * MS, pose((9, 0, 0)))
+    buffer.add(150 * MS, pose((10, 0, 0)))
+    old, new = buffer.find(25 * MS), buffer.find(125 * MS)
+    assert (old.epoch, new.epoch, buffer.epoch) == (0, 1, 1)
+    assert_same(old.pose, pose((0.5, 0, 0)))
+    assert_same(new.pose, pose((9.5, 0, 0)))
+    assert buffer.find(70 * MS).epoch == 0  # for 20 ms, as any last pose
+    assert buffer.find(70 * MS + 1) is None
+    assert buffer.find(100 * MS - 1) is None
+    assert buffer.find(100 * MS).epoch == 1
+
+
+def test_a_pose_of_another_world_is_none_to_whoever_asks_for_one():
+    """``at`` knows the present world alone."""
+    buffer = PoseBuffer()
+    buffer.add(0, pose((0, 0, 0)))
+    buffer.begin_epoch(50 * MS)
+    assert buffer.at(0) is None
+    assert buffer.find(0).epoch == 0
+    buffer.add(50 * MS, pose((9, 0, 0)))
+    assert buffer.at(0) is None
+    assert_same(buffer.at(60 * MS), pose((9, 0, 0)))
+
+
+def test_a_clock_that_went_back_makes_room_for_the_new_world():
+    """Poses of the old one that lie ahead are forgotten, and the new ones are taken."""
+    buffer = PoseBuffer()
+    for t in (100, 200, 300):
+        buffer.add(t * MS, pose((t, 0, 0)))
+    buffer.begin_epoch(150 * MS)
+    assert buffer.add(150 * MS, pose((9, 0, 0)))
+    assert buffer.find(300 * MS) is None
+    assert buffer.find(100 * MS).epoch == 0
+
+
+def test_before_the_first_pose_after_a_jump_nobody_knows():
+    """Even where the old world's poses are all gone, the new one does not reach back."""
+    buffer = PoseBuffer(capacity=1)
+    buffer.begin_epoch(100 * MS)
+    buffer.add(100 * MS, pose())
+    assert buffer.find(100 * MS - 1) is None
+    assert buffer.find(100 * MS).epoch == 1
+
+
+@given(st.lists(st.tuples(st.integers(1, 60), st.booleans()), min_size=1, max_size=30))
+def test_an_answer_lies_between_poses_of_its_own_world(steps):
+    """Worlds a thousand metres apart: no answer is anything but what its own epoch said."""
+    buffer, t, told = PoseBuffer(), 0, {}
+    for gap, jumps in steps:
+        t += gap * MS
+        if jumps:
+            buffer.begin_epoch(t)
+        buffer.add(t, pose((1000 * buffer.epoch, 0, 0)))
+        told[t] = buffer.epoch
+    for ask in range(0, t + 30 * MS, 7 * MS):
+        found = buffer.find(ask)
+        if found is not None:
+            assert found.pose.translation[0] == pytest.approx(1000 * found.epoch)
+            before = [epoch for at, epoch in told.items() if at <= ask]
+            assert found.epoch == (before[-1] if before else 0)

@@ -135,6 +135,51 @@ def test_the_target_is_composed_at_the_place_of_the_exposure_and_not_of_the_arri
     np.testing.assert_allclose(rig.receiver.estimate.world_from_target.matrix, expected, atol=1e-9)
 
 
+def test_a_result_from_before_a_jump_is_refused_and_counted():
+    """The drone knows where it was, but in a world that is no more; and nothing is known now."""
+    rig = Rig().acknowledged()
+    rig.receive(result())
+    rig.receiver.sending(SentFrame(8, T_CAPTURE_NS + 10 * MS, T1_NS, WORKER))
+    rig.receiver.begin_epoch(T_CAPTURE_NS + 20 * MS)
+    rig.receiver.add_pose(T_CAPTURE_NS + 20 * MS, pose((9, 9, 9)))
+    assert rig.receiver.estimate is None
+    assert rig.receiver.word.estimate is None
+    assert rig.receiver.lost.t_capture_ns == T_CAPTURE_NS
+    rig.receiver.on_message(seal_ack(msgspec.structs.replace(ACK, sequence=8)), T4_NS)
+    got = rig.receive(result(sequence=8, t_capture_ns=T_CAPTURE_NS + 10 * MS))
+    assert got.judgement.verdict is Verdict.ACCEPTED
+    assert (got.update, got.measurement) == (Update.BEFORE_JUMP, None)
+    assert rig.receiver.estimate is None
+    assert rig.receiver.lost is not None
+
+
+def test_the_first_measurement_after_a_jump_is_the_new_estimate():
+    """In the new world, and nothing is lost any more."""
+    rig = Rig().acknowledged()
+    rig.receive(result())
+    rig.receiver.begin_epoch(T_CAPTURE_NS + 20 * MS)
+    rig.receiver.begin_epoch(T_CAPTURE_NS + 30 * MS)
+    assert rig.receiver.lost is not None
+    rig.receiver.add_pose(T_CAPTURE_NS + 30 * MS, pose((9, 9, 9)))
+    rig.receiver.sending(SentFrame(8, T_CAPTURE_NS + 30 * MS, T1_NS + 30 * MS, WORKER))
+    rig.receiver.on_message(seal_ack(msgspec.structs.replace(ACK, sequence=8)), T4_NS)
+    changes = {"sequence": 8, "t_capture_ns": T_CAPTURE_NS + 30 * MS, "t1_ns": T1_NS + 30 * MS}
+    got = rig.receive(result(**changes), T4_NS + 30 * MS)
+    assert got.update is Update.FIRST
+    assert rig.receiver.estimate.epoch == 2
+    expected = pose((9, 9, 9)) @ Airframe().body_from_camera @ CAMERA_FROM_TARGET
+    np.testing.assert_allclose(got.world_from_target.matrix, expected.matrix, atol=1e-9)
+    assert rig.receiver.lost is None
+
+
+def test_a_jump_before_the_target_was_seen_loses_nothing():
+    """There is nothing to stand still for."""
+    rig = Rig()
+    rig.receiver.begin_epoch(T_CAPTURE_NS)
+    assert rig.receiver.lost is None
+    assert rig.receiver.pose_at(T_CAPTURE_NS) is None
+
+
 def test_a_result_whose_exposure_place_is_unknown_is_not_used():
     """Odometry was lost at that moment: NO_POSE, and no target from it."""
     rig = Rig(knows_pose=False).acknowledged()

@@ -10,13 +10,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from drone_client.target import (
-    DRIFT_MPS,
-    DRIFT_RADPS,
     GATE_CHI2,
     MAX_VARIANCE,
-    ODOMETRY_SIGMA_M,
-    ODOMETRY_SIGMA_RAD,
     OUTLIERS_BEFORE_RESET,
+    USUAL_BUDGET,
+    OdometryBudget,
     TargetEstimate,
     TargetMeasurement,
     Update,
@@ -26,7 +24,7 @@ from drone_client.target import (
 from rgbd_wire.geometry import Pose
 from tests.unit.drone_client.builders import MS, SECOND, pose, poses, rotation_of
 
-FLOOR = np.diag([ODOMETRY_SIGMA_M**2] * 3 + [ODOMETRY_SIGMA_RAD**2] * 3)
+FLOOR = np.diag([USUAL_BUDGET.sigma_m**2] * 3 + [USUAL_BUDGET.sigma_rad**2] * 3)
 TIGHT = np.diag([1e-4] * 3 + [4e-4] * 3)
 
 
@@ -64,7 +62,11 @@ def test_fuses_as_the_information_form_does(at, seed, dt_ns):
     """Informations add up: an independent form of the Kalman step, with odometry's drift before."""
     rng = np.random.default_rng(seed)
     before, seen = random_covariance(rng), random_covariance(rng)
-    prior = before + np.diag(np.repeat([DRIFT_MPS, DRIFT_RADPS], 3) * dt_ns / SECOND) ** 2
+    prior = (
+        before
+        + np.diag(np.repeat([USUAL_BUDGET.drift_mps, USUAL_BUDGET.drift_radps], 3) * dt_ns / SECOND)
+        ** 2
+    )
     innovation = np.linalg.cholesky(prior + seen) @ rng.normal(size=6) * 0.5
     done, verdict = update(
         estimate_at(at, before), seen_at(moved(at, innovation), seen, t_ns=dt_ns)
@@ -210,8 +212,8 @@ def test_measure_turns_the_covariance_into_the_world(seed):
     n = 40_000
     d = rng.multivariate_normal(np.zeros(6), covariance_camera, size=n)  # (n, 6)
 
-    f = rng.normal(size=(n, 3)) * ODOMETRY_SIGMA_RAD
-    p = rng.normal(size=(n, 3)) * ODOMETRY_SIGMA_M
+    f = rng.normal(size=(n, 3)) * USUAL_BUDGET.sigma_rad
+    p = rng.normal(size=(n, 3)) * USUAL_BUDGET.sigma_m
 
     R_wc, R_ct = rotation_of(world_from_camera), rotation_of(camera_from_target)
     R_wt = R_wc * R_ct
@@ -253,3 +255,51 @@ def test_a_measurement_that_is_older_than_the_estimate_adds_no_drift():
     now, _ = update(at, seen_at(pose(), t_ns=SECOND))
     earlier, _ = update(at, replace(seen_at(pose()), t_capture_ns=0))
     np.testing.assert_array_equal(now.covariance, earlier.covariance)
+
+
+def test_a_measurement_from_before_a_jump_changes_nothing():
+    """Its place is told in a world that is no more, and neither fuses nor contradicts."""
+    at = replace(estimate_at(pose((1, 2, 3))), epoch=3)
+    for where in (pose((1, 2, 3)), pose((9, 9, 9))):
+        done, verdict = update(at, replace(seen_at(where, t_ns=SECOND), epoch=2))
+        assert verdict is Update.BEFORE_JUMP
+        assert done is at
+
+
+def test_the_first_measurement_after_a_jump_takes_the_estimates_place():
+    """However near to the old one it is: nothing of the old covariance helps it."""
+    at = replace(estimate_at(pose(), TIGHT / 100), outliers=2)
+    done, verdict = update(at, replace(seen_at(pose((0.001, 0, 0)), t_ns=SECOND), epoch=1))
+    assert verdict is Update.FIRST
+    assert (done.epoch, done.outliers) == (1, 0)
+    np.testing.assert_array_equal(done.covariance, TIGHT)
+    assert update(done, replace(seen_at(pose(), t_ns=2 * SECOND), epoch=1))[1] is Update.FUSED
+
+
+def test_the_usual_budget_is_what_the_documents_say():
+    """A change of these numbers changes every estimate."""
+    assert OdometryBudget(0.001, 0.005, 0.01, 0.005) == USUAL_BUDGET
+
+
+def test_a_worse_odometry_is_counted_as_such():
+    """Each number of a budget goes in where its text says, and stays with the estimate."""
+    worse = OdometryBudget(0.003, 0.01, 0.04, 0.02)
+    seen = measure(pose(), pose((0, 0, 2)), TIGHT, 0, budget=worse)
+    growth = seen.covariance - measure(pose(), pose((0, 0, 2)), TIGHT, 0).covariance
+    lateral = 0.003**2 - 0.001**2 + (0.01**2 - 0.005**2) * 2**2
+    turn = 0.01**2 - 0.005**2
+    expected = [lateral, lateral, 0.003**2 - 0.001**2, turn, turn, turn]
+    np.testing.assert_allclose(np.diag(growth), expected)
+    first, _ = update(None, seen, worse)
+    assert first.budget == worse
+    alone = replace(first, t_capture_ns=SECOND, t_confirmed_ns=0)
+    widened = replace(alone, covariance=alone.covariance + np.diag([0.04**2] * 3 + [0.02**2] * 3))
+    assert widened.seen_sigma_m == pytest.approx(first.sigma_m, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", list(OdometryBudget.__dataclass_fields__))
+def test_a_budget_is_bounded(name):
+    """Neither nothing nor everything, nor NaN; and the error names the field."""
+    for value in (-1e-9, 1.0, np.nan):
+        with pytest.raises(ValueError, match=name):
+            replace(USUAL_BUDGET, **{name: value})
