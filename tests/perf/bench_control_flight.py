@@ -21,12 +21,9 @@ from drone_client.cbf.keep_out import Rotation, Stance, gaps_m
 from drone_client.cbf.vector import ZERO, Vec3, moved
 from drone_client.guidance import GuidanceSettings, guide
 from drone_client.target import (
-    DRIFT_MPS,
-    DRIFT_RADPS,
-    ODOMETRY_SIGMA_M,
-    ODOMETRY_SIGMA_RAD,
     TargetEstimate,
     TargetMeasurement,
+    drift_covariance,
     measure,
     update,
 )
@@ -37,6 +34,12 @@ ARM_M = float(AIRFRAME.body_from_tip.translation[0])
 CAMERA_M = tuple(AIRFRAME.body_from_camera.translation[[0, 2]].tolist())
 """Of the camera in the body, forward and up."""
 NS = 1_000_000_000
+DRIFT_MPS, DRIFT_RADPS = np.sqrt(np.diag(drift_covariance(NS))[[0, 3]]).tolist()
+"""What the target filter counts for a second of odometry..."""
+_A_METRE_AHEAD = Pose(np.array([1.0, 0.0, 0.0]), Pose.identity().q_wxyz)
+_EXACTLY_SEEN = measure(Pose.identity(), _A_METRE_AHEAD, np.zeros((6, 6)), 0).covariance
+ODOMETRY_SIGMA_M, ODOMETRY_SIGMA_RAD = np.sqrt(np.diag(_EXACTLY_SEEN)[[0, 3]]).tolist()
+"""...and for the camera's own pose at an exposure."""
 
 
 @dataclass(frozen=True)
