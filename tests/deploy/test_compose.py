@@ -145,7 +145,7 @@ def test_the_drone_replays_what_ships_with_the_project(services):
     group = typer.main.get_command(drone_app)
     assert command[0] == "drone-client"
     context = group.commands[command[1]].make_context(command[1], list(command[2:]))
-    assert (ROOT / context.params["folder"] / "camera.json").is_file()
+    assert (ROOT / context.params["recording"] / "camera.json").is_file()
     assert (ROOT / context.params["truth"]).is_file()
     assert services["drone"]["volumes"][0] == f"runs:{context.params['out']}"
 
