@@ -157,6 +157,10 @@ class Ledger:
         """One frame that the drone looked at, or would have, by itself."""
         self._writer.put(ONBOARD_NAME, line)
 
+    def on_disk(self, timeout_s: float = 5.0) -> bool:
+        """Wait until every line so far is written; for whoever reads the files of a running one."""
+        return self._writer.on_disk(timeout_s)
+
     def close(self) -> None:
         """Give every open frame its line, and close the files."""
         with self._lock:

@@ -39,6 +39,8 @@ class LineWriter:
             self._close_files()
             raise
         self._waiting: deque[tuple[str, dict[str, Any]]] = deque()
+        self._marks: list[tuple[int, threading.Event]] = []
+        self._handed = self._written = 0
         self._lock = threading.Lock()
         self._closing = False
         self._some = threading.Event()
@@ -54,7 +56,18 @@ class LineWriter:
                 self.lost += 1
                 return
             self._waiting.append((name, line))
+            self._handed += 1
         self._some.set()
+
+    def on_disk(self, timeout_s: float) -> bool:
+        """Wait until all that was handed over so far is written, or lost and counted."""
+        reached = threading.Event()
+        with self._lock:
+            if self._closing:
+                return True
+            self._marks.append((self._handed, reached))
+        self._some.set()
+        return reached.wait(timeout_s)
 
     def close(self) -> None:
         """Write what is left, and end."""
@@ -71,6 +84,12 @@ class LineWriter:
                 batch, self._waiting = self._waiting, deque()
                 last = self._closing
             self._write(batch)
+            self._written += len(batch)
+            with self._lock:
+                done = [mark for mark in self._marks if mark[0] <= self._written]
+                self._marks = [mark for mark in self._marks if mark[0] > self._written]
+            for _, reached in done:
+                reached.set()
             if last:
                 self._close_files()
                 return

@@ -65,6 +65,7 @@ class TwoWorkers:
             self.link.deliver([seal_result(result_of(header, worker, None))])
 
     def lines(self, name: str) -> list[dict]:
+        assert self.ledger.on_disk()
         return [json.loads(line) for line in (self.folder / name).read_text().splitlines()]
 
     def _on_frame(self, worker: str, message: bytes) -> list[bytes]:

@@ -80,3 +80,15 @@ def test_a_file_that_cannot_be_opened_leaves_none_open(tmp_path: Path):
     with pytest.raises(OSError, match="No such file"):
         LineWriter({"a": tmp_path / "a", "b": tmp_path / "no" / "b"})
     assert threading.active_count() == before
+
+
+def test_whoever_asks_waits_until_the_lines_are_there(tmp_path: Path):
+    """All that was handed over before the question; after closing there is nothing to wait for."""
+    writer = LineWriter({"a": tmp_path / "a"})
+    for n in range(200):
+        writer.put("a", {"n": n})
+        if n % 50 == 49:
+            assert writer.on_disk(10)
+            assert (tmp_path / "a").read_text().count("\n") == n + 1
+    writer.close()
+    assert writer.on_disk(0)

@@ -101,6 +101,7 @@ class Rig:
             assert eventually(lambda looks=looks: self.looks > looks + 1)
 
     def lines(self, name: str) -> list[dict]:
+        assert self.ledger.on_disk()
         return [json.loads(line) for line in (self.folder / name).read_text().splitlines()]
 
 
