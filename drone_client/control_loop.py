@@ -86,13 +86,17 @@ class ControlLoop:
 
     def decide(self, now_ns: int) -> Decision:
         """What would be commanded now; changes nothing."""
+        # The order is intended: a jump of the odometry shows in the pose, and voids what the other
+        # two would have told before it.
+        world_from_body = self._knowledge.world_from_body(now_ns)
+        estimate = self._knowledge.estimate(now_ns)
         on_mission = None
         if self._mission is not None:
             on_mission = OnMission(self._mission, self._knowledge.senses(now_ns))
         return decide(
             now_ns,
-            self._knowledge.estimate(now_ns),
-            self._knowledge.world_from_body(now_ns),
+            estimate,
+            world_from_body,
             self._airframe,
             self._settings,
             on_mission,

@@ -43,6 +43,9 @@ from rgbd_wire.messages import (
 )
 from rgbd_wire.probe import Probe, decode_probe
 
+LOST_NS = 40_000_000_000
+"""A target that nobody has seen for longer was not near when the odometry jumped: longer than the
+drone may fly by its own eyes (``onboard_max_s``), and back off after it."""
 _MADE_UP = frozenset({Verdict.NEVER_SENT, Verdict.ECHO_MISMATCH, Verdict.WRONG_WORKER})
 """A result like this does not show that the worker has the frame: it frees no slot."""
 
@@ -150,7 +153,7 @@ class Receiver:
     def lost(self) -> TargetEstimate | None:
         """What was known of the target when the odometry jumped, until it is measured again.
 
-        In a world that is no more: it tells that the target was near, and no place to fly by.
+        In a world that is no more: it tells that the target may be near, and no place to fly by.
         """
         with self._lock:
             return self._lost
@@ -174,8 +177,10 @@ class Receiver:
         """
         with self._lock:
             self._poses.begin_epoch(t_ns)
-            self._lost = self._estimate or self._lost
-            self._estimate = None
+            known = self._estimate
+            if known is not None:
+                recent = t_ns - known.t_capture_ns <= LOST_NS
+                self._lost, self._estimate = (known if recent else None), None
 
     def pose_at(self, t_ns: int) -> Pose | None:
         """``world_from_body`` at a time; None if the drone cannot know, or it was another world."""

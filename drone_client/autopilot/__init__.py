@@ -46,6 +46,8 @@ class VehicleState:
     landed: bool | None = None
     failsafe: str = ""
     """Which failsafe acts, in words; empty: none."""
+    pose_resets: int = 0
+    """How often its estimate of the pose has jumped on purpose; a change means that it has."""
 
 
 class Autopilot(Protocol):

@@ -172,6 +172,7 @@ class Vehicle:
             battery_fraction=self._battery,
             landed=self._landed,
             failsafe=self._failsafe(now_ns),
+            pose_resets=0 if sample is None else sample.resets,
         )
 
     def _failsafe(self, now_ns: int) -> str:

@@ -24,6 +24,7 @@ from drone_client.ledger import Ledger
 from drone_client.link import Link
 from drone_client.link.waiting import wait_for_worker
 from drone_client.mission import Order, Senses, begin
+from drone_client.odometry.jump import Jump
 from drone_client.promptness import yield_soon
 from drone_client.reception import Reception
 from drone_client.run_report import report, take_down
@@ -79,7 +80,11 @@ class _Run:
         self._ledger = ledger
         self._stopping = threading.Event()
         self._pump = threading.Thread(target=self._run_pump, name="camera", daemon=True)
-        pose = VehiclePose(vehicle.state, lambda t_ns, pose: self.flight.keep_pose(t_ns, pose))
+        self._pose = VehiclePose(
+            vehicle.state,
+            lambda t_ns, pose: self.flight.keep_pose(t_ns, pose),
+            self._on_jump,
+        )
         self.flight = Flight(
             parts,
             airframe,
@@ -87,7 +92,7 @@ class _Run:
             vehicle,
             clock,
             ledger,
-            pose,
+            self._pose,
             on_accepted,
             mission=begin(clock.now_ns()),
             senses=self._senses,
@@ -129,7 +134,19 @@ class _Run:
     def _senses(self, now_ns: int) -> Senses:
         # a vehicle that hears nothing of us obeys nobody, and is flown as if there were none
         heard = None if isinstance(self._vehicle, Unheard) else self._vehicle.state()
-        return Senses(heard, order=self.orders.now)
+        jumped = self._pose.jumped(now_ns) or self.flight.receiver.lost is not None
+        return Senses(heard, odometry_jumped=jumped, order=self.orders.now)
+
+    def _on_jump(self, jump: Jump) -> None:
+        self.flight.receiver.begin_epoch(jump.t_ns)
+        self.sentences.put(jump.sentence)
+        self._ledger.event(
+            self._clock.now_ns(),
+            "odometry_jumped",
+            reason=jump.reason.value,
+            t_pose_ns=jump.t_ns,
+            sentence=jump.sentence,
+        )
 
     def _on_decision(self, decision: Decision) -> None:
         self.decision = decision

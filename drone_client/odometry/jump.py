@@ -166,6 +166,11 @@ class JumpWatch:
         self._settings = settings or JumpSettings()
         self._track: _Track | None = None
 
+    @property
+    def newest(self) -> Motion | None:
+        """The newest sample that may be used; None: there is none, or the last was no number."""
+        return None if self._track is None else self._track.motion
+
     def see(self, motion: Motion) -> Jump | None:
         """Take the next sample; the jump that it shows, or None.
 
