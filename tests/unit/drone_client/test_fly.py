@@ -16,7 +16,7 @@ import pytest
 from drone_client.airframe import Airframe
 from drone_client.autopilot import VelocityCommand
 from drone_client.autopilot.simulated import SimulatedAutopilot
-from drone_client.errors import AutopilotError, SourceError
+from drone_client.errors import AutopilotError, LinkError, SourceError
 from drone_client.flight_settings import flight_settings
 from drone_client.fly.cockpit import View
 from drone_client.fly.run import FlyOptions, fly
@@ -311,3 +311,26 @@ def test_the_pose_of_a_vehicle_is_carried_on_to_now():
     assert kept == [(1_000_000_000, state.world_from_body)]
     assert here(state.t_pose_ns + MAX_AHEAD_NS + 1) is None
     assert VehiclePose(lambda: None, lambda t_ns, p: None)(0) is None
+
+
+def test_a_camera_that_is_not_there_is_one_line(tmp_path):
+    """Nothing else was started, and nothing is left running."""
+    scene = Scene(tmp_path)
+
+    def start() -> None:
+        raise SourceError("no camera")
+
+    scene.camera.start = start
+    with pytest.raises(SourceError, match="no camera"):
+        scene.fly()
+    assert scene.vehicle.mode == "POSCTL"
+    assert scene.vehicle.commands == []
+
+
+def test_nobody_answers_is_one_line(tmp_path):
+    """No worker: the vehicle is not taken."""
+    scene = Scene(tmp_path)
+    scene.link = MemoryLink(CLOCK, answering(), workers=())
+    with pytest.raises(LinkError, match="no worker answers"):
+        scene.fly()
+    assert scene.vehicle.mode == "POSCTL"

@@ -1,0 +1,101 @@
+"""``drone-client fly``: what it asks for before anything moves, and how it refuses."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from drone_client.autopilot.simulated import SimulatedAutopilot
+from drone_client.cli import app
+from drone_client.errors import ClientError
+from drone_client.fly.cockpit import View
+from drone_client.fly.orders import Orders
+from drone_client.fly.terminal import TerminalCockpit, flight_lines
+from drone_client.mission import Order
+from drone_client.tally import Tally
+from rgbd_wire.clock import MonotonicClock
+from tests.unit.drone_client.builders import pose
+
+AIRFRAME = str(Path(__file__).parents[3] / "examples" / "airframe.toml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((), "nobody to ask: run it in a terminal, or with --yes or --dry-run"),
+        (("--yes", "--tau-max-ms", "900"), "exceeds --age-max-ms"),
+        (("--yes", "--tuning", "nowhere.toml"), "tuning file nowhere.toml: No such file"),
+        (("--yes", "--floor-m", "1e9"), "offset_m = 1000000000.0 is not in"),
+        (("--yes", "--source", "webcam"), "webcam: no camera that is known"),
+        (("--yes", "--autopilot", "tcp/here:1"), "'tcp/here:1' is no address; such as"),
+    ],
+)
+def test_a_mistake_is_told_before_anything_is_opened(arguments: tuple[str, ...], says: str):
+    """One line each, of the place where the bound is at home."""
+    result = CliRunner().invoke(app, ["fly", "--airframe", AIRFRAME, *arguments])
+    assert isinstance(result.exception, ClientError)
+    assert says in str(result.exception)
+
+
+def test_an_airframe_must_be_given_and_be_there():
+    """Nobody flies by the default drone's transforms unawares."""
+    assert "Missing option '--airframe'" in CliRunner().invoke(app, ["fly", "--yes"]).output
+    result = CliRunner().invoke(app, ["fly", "--yes", "--airframe", "nowhere.toml"])
+    assert "airframe file nowhere.toml: No such file" in str(result.exception)
+
+
+def view(accepted: int = 3) -> View:
+    tally = Tally()
+    tally.verdicts["accepted"] = accepted
+    vehicle = SimulatedAutopilot(MonotonicClock(), pose((1, 2, 3)))
+    return View(vehicle.state(), None, tally, ("w1",))
+
+
+@pytest.mark.parametrize(
+    ("typed", "flies"),
+    [("yes\n", True), (" YES \n", True), ("y\n", False), ("\n", False), ("", False)],
+)
+def test_only_a_yes_is_one(typed: str, flies: bool, monkeypatch: pytest.MonkeyPatch):
+    """The vehicle, the workers and what was seen stand above the question."""
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+    shown = io.StringIO()
+    cockpit = TerminalCockpit(Console(file=shown, width=100), ask=True)
+    assert cockpit.may_fly(view()) is flies
+    for word in (
+        "POSCTL, armed, not ours, battery 100%",
+        "w1",
+        "3 of 3",
+        "not seen yet",
+        "Type yes",
+    ):
+        assert word in shown.getvalue()
+
+
+def test_with_yes_nobody_is_asked():
+    """The table is shown all the same."""
+    shown = io.StringIO()
+    assert TerminalCockpit(Console(file=shown, width=100), ask=False).may_fly(view())
+    assert "POSCTL" in shown.getvalue()
+    assert "Type yes" not in shown.getvalue()
+
+
+def test_before_the_first_tick_there_is_a_line_to_show():
+    """Whatever is not known yet is left out."""
+    first, second = flight_lines(View(None, None, Tally(), ()))
+    assert first.plain.strip() == "waiting"
+    assert second.plain.strip() == "no vehicle"
+
+
+def test_an_abort_is_the_last_order():
+    """Stand, go, stand again; after an abort nothing."""
+    orders = Orders()
+    assert orders.now is Order.HOLD
+    orders.give(Order.GO)
+    assert orders.now is Order.GO
+    orders.give(Order.ABORT)
+    orders.give(Order.GO)
+    assert orders.now is Order.ABORT
