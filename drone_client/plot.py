@@ -179,10 +179,34 @@ def _mark_hand_overs(
         )
 
 
+def _name_phases(
+    axes: Any, ticks: Sequence[dict[str, Any]], seconds: Callable[[int], float]
+) -> None:
+    """A line where a mission went into another phase, with the phase's name."""
+    before = None
+    for tick in ticks:
+        phase = tick.get("phase")
+        if phase is not None and phase != before:
+            at = seconds(tick["t_ns"])
+            axes.axvline(at, color="tab:gray", ls=":", lw=1)
+            axes.annotate(
+                phase,
+                (at, 1.0),
+                xycoords=("data", "axes fraction"),
+                rotation=90,
+                va="top",
+                ha="left",
+                fontsize=7,
+                color="tab:gray",
+            )
+        before = phase
+
+
 def _shade_what_was_known(
     panels: Sequence[Any], ticks: Sequence[dict[str, Any]], seconds: Callable[[int], float]
 ) -> None:
-    """Shade, in the first panel, what was not fresh, and in all what was flown on own eyes."""
+    """Shade, in the first panel, what was not fresh, in all what was flown on own eyes; phases."""
+    _name_phases(panels[-1], ticks, seconds)
     times = [seconds(t["t_ns"]) for t in ticks]
     _shade(panels[0], times, [t.get("freshness") for t in ticks])
     for number, bridge in enumerate(bridges(ticks)):
