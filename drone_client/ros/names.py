@@ -66,6 +66,14 @@ POSE_WITH_COVARIANCE_STAMPED = MessageType(
     "geometry_msgs::msg::dds_::PoseWithCovarianceStamped_",
     "RIHS01_26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e",
 )
+ODOMETRY = MessageType(
+    "nav_msgs::msg::dds_::Odometry_",
+    "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+)
+RANGE = MessageType(
+    "sensor_msgs::msg::dds_::Range_",
+    "RIHS01_b42b62562e93cbfe9d42b82fe5994dfa3d63d7d5c90a317981703f7388adff3a",
+)
 
 
 def check_topic(topic: str) -> str:
@@ -108,6 +116,13 @@ def key(flavour: Flavour, topic: str, message: MessageType, domain: int) -> str:
     if flavour is Flavour.BRIDGE:
         return topic
     return f"{domain}/{topic}/{message.dds_name}/{message.type_hash}"
+
+
+def heard_key(flavour: Flavour, topic: str, message: MessageType, domain: int) -> str:
+    """Key to subscribe to: any version of the type, for what we read stands in all of them."""
+    if flavour is Flavour.BRIDGE:
+        return topic
+    return f"{domain}/{topic}/{message.dds_name}/*"
 
 
 def node_token(domain: int, session: str, node: str) -> str:

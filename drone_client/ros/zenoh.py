@@ -78,11 +78,7 @@ class RosPoses:
         """
         if not endpoints:
             raise LinkError("no endpoint to publish poses to; such as tcp/127.0.0.1:7447")
-        for endpoint in endpoints:
-            if not check_endpoint(endpoint).startswith("tcp/"):
-                raise LinkError(f"{endpoint}: poses for ROS 2 go over tcp/ alone")
-        if not 0 <= domain <= MAX_DOMAIN:
-            raise LinkError(f"ROS domain {domain}, expected 0 to {MAX_DOMAIN}")
+        check_way(endpoints, domain)
         name = check_topic(topic)
         self.published = 0
         """Poses handed to the session; what its queue drops is not known."""
@@ -144,7 +140,7 @@ class RosPoses:
             self._closing.set()
             session, self._session = self._session, None
         if session is not None:
-            _close(session)
+            close_client(session)
         # A try that hangs in a connect ends by itself, and then closes what it opened
         self._opener.join(timeout=RETRY_S)
 
@@ -159,20 +155,16 @@ class RosPoses:
                 if not self._closing.is_set():
                     self._session = session
                     return
-            _close(session)
+            close_client(session)
 
     def _opened(self) -> zenoh.Session:
-        config = zenoh.Config()
-        for path, value in _CONFIG.items():
-            config.insert_json5(path, json.dumps(value))
-        config.insert_json5("connect/endpoints", json.dumps(self._endpoints))
-        session = zenoh.open(config)
+        session = open_client(self._endpoints)
         try:
             first, second = (
                 self._declare(session, number, *self._topics[number]) for number in range(2)
             )
         except zenoh.ZError:
-            _close(session)
+            close_client(session)
             raise
         self._publishers = first, second
         return session
@@ -217,7 +209,34 @@ class _Publisher:
         self._publisher.put(message, attachment=attachment(self._sequence, unix_ns, self._gid))
 
 
-def _close(session: zenoh.Session) -> None:
+def check_way(endpoints: tuple[str, ...], domain: int) -> None:
+    """Whether ROS 2 can be reached like this.
+
+    Raises:
+        LinkError: an endpoint is malformed or encrypted, or the domain has no ports in DDS.
+    """
+    for endpoint in endpoints:
+        if not check_endpoint(endpoint).startswith("tcp/"):
+            raise LinkError(f"{endpoint}: messages of ROS 2 go over tcp/ alone")
+    if not 0 <= domain <= MAX_DOMAIN:
+        raise LinkError(f"ROS domain {domain}, expected 0 to {MAX_DOMAIN}")
+
+
+def open_client(endpoints: tuple[str, ...]) -> zenoh.Session:
+    """A session with the first of some routers, bridges or peers that answers.
+
+    Raises:
+        zenoh.ZError: none does.
+    """
+    config = zenoh.Config()
+    for path, value in _CONFIG.items():
+        config.insert_json5(path, json.dumps(value))
+    config.insert_json5("connect/endpoints", json.dumps(endpoints))
+    return zenoh.open(config)
+
+
+def close_client(session: zenoh.Session) -> None:
+    """Close it, whatever it says."""
     with suppress(zenoh.ZError):  # a receiver that stands still: 10 s, and then it is left
         session.close()  # type: ignore[no-untyped-call]  # zenoh's stub lacks "-> None"
 
@@ -235,6 +254,6 @@ _CONFIG: dict[str, object] = {
     # default of two batches is one pose, and holds up the caller by 1 ms for each that is full
     "transport/link/tx/queue/size/data": 16,
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-    # We subscribe to nothing: whatever comes in is small
+    # Poses, odometry and distances: whatever comes in is small
     "transport/link/rx/max_message_size": 1_000_000,
 }

@@ -15,13 +15,16 @@ from zenoh.ext import Int64, z_deserialize
 
 from drone_client.errors import LinkError
 from drone_client.ros.names import (
+    ODOMETRY,
     POSE_STAMPED,
     POSE_WITH_COVARIANCE_STAMPED,
+    RANGE,
     Flavour,
     attachment,
     check_frame,
     check_topic,
     gid,
+    heard_key,
     key,
     node_name,
     node_token,
@@ -41,6 +44,18 @@ MESSAGES = {
 def test_type_hashes_are_those_that_rosbags_computes(message, store):
     """From the definitions themselves (REP 2016)."""
     assert message.type_hash == get_typestore(store).hash_rihs01(MESSAGES[message])
+
+
+def test_the_hashes_of_what_is_heard_are_those_of_jazzy():
+    """Range has another in Humble: it is heard by any hash, and read as far as both agree."""
+    jazzy = get_typestore(Stores.ROS2_JAZZY)
+    assert ODOMETRY.type_hash == jazzy.hash_rihs01("nav_msgs/msg/Odometry")
+    assert RANGE.type_hash == jazzy.hash_rihs01("sensor_msgs/msg/Range")
+    for message in (ODOMETRY, RANGE):
+        heard = KeyExpr(heard_key(Flavour.RMW_ZENOH, "vio/odometry", message, 7))
+        assert heard.includes(KeyExpr(key(Flavour.RMW_ZENOH, "vio/odometry", message, 7)))
+        assert not heard.includes(KeyExpr(key(Flavour.RMW_ZENOH, "vio/odometry", message, 8)))
+        assert heard_key(Flavour.BRIDGE, "vio/odometry", message, 7) == "vio/odometry"
 
 
 def describe(name: str, fields: list[tuple[str, int, str, int]]) -> dict:

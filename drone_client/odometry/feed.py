@@ -1,0 +1,94 @@
+"""Once a control tick: the robot's VIO and lidars to the autopilot's estimator.
+
+ROS has no count of resets. A jump of the VIO is recognised here and counted into the sample, so
+that the autopilot's estimator starts again there at once, and says so itself, instead of gliding to
+the new place over a second (docs/odometry.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+from drone_client.odometry import OdometrySample, RangeSample
+from drone_client.odometry.jump import Jump, JumpSettings, JumpWatch, Motion
+from drone_client.odometry.lidar import Lidar, LidarSettings
+from drone_client.odometry.source import OdometrySource
+
+MAX_RESETS = 256
+"""MAVLink counts in one byte."""
+
+
+class Estimator(Protocol):
+    """The part of an autopilot that is fed."""
+
+    def give_odometry(self, sample: OdometrySample) -> None:
+        """Take the robot's own odometry."""
+        ...
+
+    def give_range(self, sample: RangeSample) -> None:
+        """Take a distance."""
+        ...
+
+
+class OdometryFeed:
+    """Passes each sample on once. Belongs to one thread."""
+
+    def __init__(
+        self,
+        source: OdometrySource,
+        estimator: Estimator,
+        on_jump: Callable[[Jump], None] = lambda jump: None,
+        jump: JumpSettings | None = None,
+        lidar: LidarSettings | None = None,
+    ) -> None:
+        """Take over source and callbacks.
+
+        Args:
+            source: of the samples.
+            estimator: gets them.
+            on_jump: the VIO has jumped; for the ledger.
+            jump: what is a jump.
+            lidar: when a distance is believed.
+        """
+        self.given = 0
+        """Odometry samples that were passed on."""
+        self.height = Lidar(lidar)
+        self.ahead = Lidar(lidar)
+        self._source = source
+        self._estimator = estimator
+        self._on_jump = on_jump
+        self._watch = JumpWatch(jump)
+        self._resets = 0
+        self._odometry: OdometrySample | None = None
+        self._ranges: dict[str, RangeSample] = {}
+
+    def tick(self, now_ns: int) -> float | None:
+        """Pass on what is new; returns the distance ahead that the mission may use, if any."""
+        self._pass_odometry(self._source.odometry())
+        self._pass_range("height", self._source.height(), self.height)
+        self._pass_range("ahead", self._source.ahead(), self.ahead)
+        return self.ahead.forward_m(now_ns)
+
+    def _pass_odometry(self, sample: OdometrySample | None) -> None:
+        if sample is None or sample is self._odometry:
+            return
+        self._odometry = sample
+        motion = Motion(sample.t_ns, sample.world_from_body, sample.velocity_world, sample.resets)
+        jump = self._watch.see(motion)
+        if jump is not None:
+            self._resets += 1
+            self._on_jump(jump)
+        if self._watch.newest is not motion:
+            return  # late, or no number
+        self.given += 1
+        self._estimator.give_odometry(replace(sample, resets=self._resets % MAX_RESETS))
+
+    def _pass_range(self, name: str, sample: RangeSample | None, lidar: Lidar) -> None:
+        if sample is None or sample is self._ranges.get(name):
+            return
+        self._ranges[name] = sample
+        believed = lidar.see(sample)
+        if believed is not None:
+            self._estimator.give_range(believed)

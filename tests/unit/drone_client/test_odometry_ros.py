@@ -1,0 +1,365 @@
+"""VIO and lidar out of ROS 2: bytes that rosbags wrote, a real Zenoh session, the vehicle."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
+
+from drone_client.autopilot.simulated import SimulatedAutopilot
+from drone_client.errors import LinkError
+from drone_client.odometry import OdometrySample, RangeSample
+from drone_client.odometry.feed import OdometryFeed
+from drone_client.odometry.jump import JumpReason
+from drone_client.odometry.ros_samples import SampleError, odometry_sample, range_sample
+from drone_client.odometry.source import MemoryOdometry
+from drone_client.odometry.zenoh import RosOdometry
+from drone_client.ros.cdr_read import read_odometry, read_range
+from drone_client.ros.names import ODOMETRY, RANGE, Flavour, key
+from rgbd_wire.clock import ManualClock
+from tests.service_process import free_port
+from tests.unit.drone_client.builders import MS, SECOND, eventually, pose, rotation_of
+
+HUMBLE, JAZZY = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS2_JAZZY)
+ODOMETRY_TYPE, RANGE_TYPE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Range"
+UNIX_NS = 1_800_000_000_123_456_789
+NOW_NS = 50 * SECOND
+AGE_NS = 30 * MS
+BODY = pose((1.0, -2.0, 1.5), (0.1, -0.2, 2.4))
+VELOCITY_BODY = np.array([0.3, 0.1, -0.2])
+COVARIANCE = np.diag([1e-4, 2e-4, 3e-4, 4e-5, 5e-5, 6e-5])
+
+
+def ros(store, name: str, **fields):
+    return store.types[name](**fields)
+
+
+def header(store, unix_ns: int, frame: str):
+    stamp = ros(
+        store,
+        "builtin_interfaces/msg/Time",
+        sec=unix_ns // SECOND,
+        nanosec=unix_ns % SECOND,
+    )
+    return ros(store, "std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+
+def odometry_cdr(
+    store=JAZZY,
+    unix_ns=UNIX_NS - AGE_NS,
+    body=BODY,
+    velocity=VELOCITY_BODY,
+    frame="odom",
+    child="base_link",
+    covariance=COVARIANCE,
+    little_endian=True,
+) -> bytes:
+    """A ``nav_msgs/Odometry`` as a ROS 2 node writes it."""
+    x, y, z = body.translation
+    w, i, j, k = body.q_wxyz
+    place = ros(store, "geometry_msgs/msg/Point", x=x, y=y, z=z)
+    turn = ros(store, "geometry_msgs/msg/Quaternion", x=i, y=j, z=k, w=w)
+    pose_ = ros(store, "geometry_msgs/msg/Pose", position=place, orientation=turn)
+    vector = "geometry_msgs/msg/Vector3"
+    twist = ros(
+        store,
+        "geometry_msgs/msg/Twist",
+        linear=ros(store, vector, x=velocity[0], y=velocity[1], z=velocity[2]),
+        angular=ros(store, vector, x=0.01, y=0.02, z=0.03),
+    )
+    message = ros(
+        store,
+        ODOMETRY_TYPE,
+        header=header(store, unix_ns, frame),
+        child_frame_id=child,
+        pose=ros(
+            store, "geometry_msgs/msg/PoseWithCovariance", pose=pose_, covariance=covariance.ravel()
+        ),
+        twist=ros(
+            store, "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)
+        ),
+    )
+    return bytes(store.serialize_cdr(message, ODOMETRY_TYPE, little_endian=little_endian))
+
+
+def range_cdr(store=JAZZY, unix_ns=UNIX_NS - AGE_NS, distance=1.25, frame="lidar") -> bytes:
+    """A ``sensor_msgs/Range`` as a ROS 2 node writes it."""
+    fields = {
+        "header": header(store, unix_ns, frame),
+        "radiation_type": 1,
+        "field_of_view": 0.05,
+        "min_range": 0.1,
+        "max_range": 12.0,
+        "range": distance,
+    }
+    if store is JAZZY:
+        fields["variance"] = 0.01
+    return bytes(store.serialize_cdr(ros(store, RANGE_TYPE, **fields), RANGE_TYPE))
+
+
+@pytest.mark.parametrize("store", [HUMBLE, JAZZY], ids=["humble", "jazzy"])
+@pytest.mark.parametrize("little_endian", [True, False])
+@given(st.text("abcé_/", max_size=20), st.text("abc_", max_size=20))
+def test_odometry_is_read_as_rosbags_wrote_it(store, little_endian, frame, child):
+    """Every number, whatever the names do to the alignment, in either byte order."""
+    got = read_odometry(odometry_cdr(store, frame=frame, child=child, little_endian=little_endian))
+    assert (got.unix_ns, got.frame_id, got.child_frame_id) == (UNIX_NS - AGE_NS, frame, child)
+    np.testing.assert_array_equal(got.position, BODY.translation)
+    np.testing.assert_array_equal(got.q_wxyz, BODY.q_wxyz)
+    np.testing.assert_array_equal(got.pose_covariance, COVARIANCE)
+    np.testing.assert_array_equal(got.velocity_child, VELOCITY_BODY)
+    np.testing.assert_array_equal(got.turn_child, (0.01, 0.02, 0.03))
+
+
+@pytest.mark.parametrize("store", [HUMBLE, JAZZY], ids=["humble", "jazzy"])
+@given(st.text("abc_", max_size=9))
+def test_a_range_is_read_with_and_without_its_variance(store, frame):
+    """Humble's message is four bytes shorter, and what we read stands before them."""
+    got = read_range(range_cdr(store, frame=frame))
+    assert (got.unix_ns, got.frame_id) == (UNIX_NS - AGE_NS, frame)
+    assert (got.min_m, got.max_m, got.range_m) == pytest.approx((0.1, 12.0, 1.25))
+
+
+@given(st.binary(max_size=900), st.integers(0, 900), st.binary(max_size=4))
+def test_what_is_no_message_is_a_value_error(junk, cut, patch):
+    """Noise, a message that is cut, one with bytes changed: a ``ValueError`` or numbers."""
+    good = odometry_cdr()
+    bent = good[:cut] + patch + good[cut + len(patch) :]
+    for message in (junk, b"\x00\x01\x00\x00" + junk, good[:cut], bent):
+        for read in (read_odometry, read_range):
+            with suppress(ValueError):
+                read(message)
+
+
+def test_a_sample_is_the_body_in_a_level_world_on_the_drones_clock():
+    """By SciPy: the twist is told in the body and turned into the world (REP 105)."""
+    sample = odometry_sample(read_odometry(odometry_cdr()), UNIX_NS, NOW_NS)
+    assert sample.t_ns == NOW_NS - AGE_NS
+    np.testing.assert_allclose(sample.world_from_body.matrix, BODY.matrix)
+    np.testing.assert_allclose(sample.velocity_world, rotation_of(BODY).apply(VELOCITY_BODY))
+    np.testing.assert_array_equal(sample.covariance, COVARIANCE)
+
+
+@pytest.mark.parametrize(
+    "covariance", [np.zeros((6, 6)), -np.eye(6), np.full((6, 6), np.nan), 1e9 * np.eye(6)]
+)
+def test_a_covariance_that_says_nothing_is_none(covariance):
+    """ROS has several ways not to know."""
+    message = read_odometry(odometry_cdr(covariance=covariance))
+    assert odometry_sample(message, UNIX_NS, NOW_NS).covariance is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"unix_ns": UNIX_NS - 2 * SECOND}, "stamp"),
+        ({"unix_ns": UNIX_NS + 30 * MS}, "stamp"),
+        ({"unix_ns": 0}, "stamp"),
+        ({"velocity": np.array([np.nan, 0, 0])}, "not_a_number"),
+    ],
+)
+def test_what_makes_no_sample_says_why(changes, reason):
+    """A clock that is not this machine's, a filter that has diverged."""
+    with pytest.raises(SampleError, match=reason):
+        odometry_sample(read_odometry(odometry_cdr(**changes)), UNIX_NS, NOW_NS)
+
+
+def test_a_quaternion_that_is_none_makes_no_sample():
+    """All zeros: what an unset message holds."""
+    message = read_odometry(odometry_cdr())._replace(q_wxyz=np.zeros(4))
+    with pytest.raises(SampleError, match="not_a_pose"):
+        odometry_sample(message, UNIX_NS, NOW_NS)
+    assert range_sample(read_range(range_cdr()), UNIX_NS, NOW_NS, looks_down=False).valid
+
+
+class Robot:
+    """What runs ROS 2 on the robot: a bridge, or the router of rmw_zenoh."""
+
+    def __init__(self, endpoint: str) -> None:
+        config = zenoh.Config()
+        for path, value in {
+            "mode": "router",
+            "listen/endpoints": [endpoint],
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "transport/shared_memory/enabled": False,
+        }.items():
+            config.insert_json5(path, json.dumps(value))
+        self.zenoh = zenoh.open(config)
+
+    def put(self, where: str, message: bytes) -> None:
+        self.zenoh.put(where, message)
+
+
+@pytest.fixture
+def start():
+    """Starts things that are closed whatever becomes of the test, the newest first."""
+    started = []
+
+    def start(make, *args, **kwargs):
+        started.append(make(*args, **kwargs))
+        return started[-1]
+
+    yield start
+    for thing in reversed(started):
+        (thing.zenoh if isinstance(thing, Robot) else thing).close()
+
+
+@pytest.fixture
+def endpoint():
+    return f"tcp/127.0.0.1:{free_port()}"
+
+
+@pytest.mark.parametrize("flavour", list(Flavour))
+def test_vio_and_lidars_reach_the_autopilot_over_zenoh(start, endpoint, flavour):
+    """Bytes of a ROS 2 node, a real session, and what the vehicle's estimator is given."""
+    robot = start(Robot, endpoint)
+    source = start(
+        RosOdometry,
+        (endpoint,),
+        ManualClock(NOW_NS),
+        vio_topic="/vio/odometry",
+        lidar_topic="/lidar",
+        ahead_topic="/wall",
+        flavour=flavour,
+        domain=3,
+        unix_ns=lambda: UNIX_NS,
+    )
+    vehicle = SimulatedAutopilot(ManualClock(NOW_NS), pose())
+    feed = OdometryFeed(source, vehicle)
+    assert feed.tick(NOW_NS) is None
+    assert eventually(lambda: source.connected, timeout_s=20)
+    step = iter(range(10_000))
+
+    def heard() -> bool:
+        unix_ns = UNIX_NS - AGE_NS + next(step) * 1000
+        robot.put(key(flavour, "vio/odometry", ODOMETRY, 3), odometry_cdr(unix_ns=unix_ns))
+        robot.put(key(flavour, "lidar", RANGE, 3), range_cdr(HUMBLE, unix_ns, 1.25))
+        robot.put(key(flavour, "wall", RANGE, 3), range_cdr(JAZZY, unix_ns, 2.5))
+        forward_m = feed.tick(NOW_NS)
+        known = (forward_m, vehicle.given_odometry, feed.height.newest(NOW_NS))
+        return all(k is not None for k in known)
+
+    assert eventually(heard, timeout_s=20)
+    assert feed.tick(NOW_NS) == 2.5
+    given = vehicle.given_odometry
+    np.testing.assert_allclose(given.world_from_body.matrix, BODY.matrix)
+    np.testing.assert_allclose(given.velocity_world, rotation_of(BODY).apply(VELOCITY_BODY))
+    assert NOW_NS - AGE_NS <= given.t_ns <= NOW_NS
+    assert feed.height.newest(NOW_NS).distance_m == 1.25
+    assert not source.refused
+
+
+def test_what_is_no_message_is_counted_and_the_next_one_is_taken(start, endpoint):
+    """Junk, an old stamp, a message of megabytes: no exception, and no sample."""
+    robot = start(Robot, endpoint)
+    source = start(
+        RosOdometry,
+        (endpoint,),
+        ManualClock(NOW_NS),
+        vio_topic="vio",
+        unix_ns=lambda: UNIX_NS,
+    )
+    assert eventually(lambda: source.connected, timeout_s=20)
+
+    def junk() -> bool:
+        for message in (b"", b"junk", bytes(900_000), odometry_cdr(unix_ns=5)):
+            robot.put("vio", message)
+        return source.refused["malformed"] >= 3 and source.refused["stamp"] >= 1
+
+    assert eventually(junk, timeout_s=20)
+    assert source.odometry() is None
+
+    def good() -> bool:
+        robot.put("vio", odometry_cdr())
+        return source.odometry() is not None
+
+    assert eventually(good, timeout_s=20)
+    assert source.taken["odometry"] >= 1
+    assert source.height() is source.ahead() is None
+
+
+def test_nobody_there_is_no_sample_and_no_wait(endpoint):
+    """The flight begins without it; closing takes no second try."""
+    source = RosOdometry((endpoint,), ManualClock(NOW_NS), vio_topic="vio")
+    assert source.odometry() is None
+    source.close()
+    assert not source.connected
+
+
+@pytest.mark.parametrize(
+    ("endpoints", "topics", "says"),
+    [
+        ((), {"vio_topic": "vio"}, "no endpoint"),
+        (("tls/a:1",), {"vio_topic": "vio"}, "over tcp/ alone"),
+        (("tcp/a:1",), {}, "no topic"),
+        (("tcp/a:1",), {"lidar_topic": "9"}, "is no ROS 2 topic"),
+        (("tcp/a:1",), {"vio_topic": "vio", "domain": 999}, "ROS domain 999"),
+    ],
+)
+def test_what_cannot_be_heard_is_said_at_once(endpoints, topics, says):
+    """Before any thread starts."""
+    with pytest.raises(LinkError, match=says):
+        RosOdometry(endpoints, ManualClock(NOW_NS), **topics)
+
+
+class Given:
+    """An estimator that keeps all it is given."""
+
+    def __init__(self) -> None:
+        self.odometry: list[OdometrySample] = []
+        self.ranges: list[RangeSample] = []
+
+    def give_odometry(self, sample: OdometrySample) -> None:
+        self.odometry.append(sample)
+
+    def give_range(self, sample: RangeSample) -> None:
+        self.ranges.append(sample)
+
+
+def test_each_sample_is_given_once_and_a_jump_is_counted_into_it():
+    """The autopilot's estimator learns of the jump as MAVLink says it: by the count of resets."""
+    source, estimator, jumps = MemoryOdometry(), Given(), []
+    feed = OdometryFeed(source, estimator, jumps.append)
+    sample = OdometrySample(0, pose(), np.zeros(3))
+    for i in range(6):
+        where = pose((0.3, 0, 0)) if i >= 4 else pose()
+        source.newest_odometry = replace(sample, t_ns=i * 20 * MS, world_from_body=where)
+        feed.tick(i * 20 * MS)
+        feed.tick(i * 20 * MS + MS)
+    assert [s.resets for s in estimator.odometry] == [0, 0, 0, 0, 1, 1]
+    assert [j.reason for j in jumps] == [JumpReason.POSITION]
+    assert feed.given == 6
+
+
+def test_what_is_no_number_or_late_is_not_given():
+    """The estimator hears nothing rather than nonsense; after it the count has changed."""
+    source, estimator = MemoryOdometry(), Given()
+    feed = OdometryFeed(source, estimator)
+    good = OdometrySample(SECOND, pose(), np.zeros(3))
+    for sample in (
+        good,
+        replace(good, t_ns=SECOND - 10 * MS),
+        replace(good, t_ns=SECOND + 20 * MS, velocity_world=np.array([np.inf, 0, 0])),
+        replace(good, t_ns=SECOND + 40 * MS),
+    ):
+        source.newest_odometry = sample
+        feed.tick(sample.t_ns)
+    assert [(s.t_ns, s.resets) for s in estimator.odometry] == [(SECOND, 0), (SECOND + 40 * MS, 1)]
+
+
+def test_an_outlier_of_the_lidar_is_not_given():
+    """Of six distances with an echo among them, the two first and the echo are held back."""
+    source, estimator = MemoryOdometry(), Given()
+    feed = OdometryFeed(source, estimator)
+    for i, distance in enumerate((1.0, 1.0, 1.0, 1.0, 0.3, 1.0)):
+        source.newest_height = RangeSample(i * 20 * MS, distance)
+        assert feed.tick(i * 20 * MS) is None  # it looks down: nothing for the mission
+    assert [r.distance_m for r in estimator.ranges] == [1.0, 1.0, 1.0]
