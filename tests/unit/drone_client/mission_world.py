@@ -6,17 +6,19 @@ mission, guidance, safety filter); the vehicle is a model for the mathematics, n
 
 from __future__ import annotations
 
+import copy
+import math
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from drone_client.airframe import Airframe
 from drone_client.autopilot import VehicleState
-from drone_client.cbf import FilterSettings
 from drone_client.control import ControlSettings, Decision, OnMission, decide
 from drone_client.mission import MissionSettings, Order, Phase, Reason, Senses, Transition, begin
 from drone_client.mission.arm import AT_REST, Base
-from drone_client.target import TargetEstimate, measure, update
+from drone_client.target import TargetEstimate, TargetMeasurement, measure, update
 from rgbd_wire.geometry import Pose
 from tests.unit.drone_client.builders import MS, SECOND, pose
 
@@ -35,7 +37,14 @@ SIGMA_M, SIGMA_PER_M, SIGMA_RAD = 0.0003, 0.001, 0.005
 BOARD = pose((5, 0, 1.5), (0, 0, np.pi))
 """Faces west: its x is the world's -x."""
 TARGET_FROM_WORLD = BOARD.inverse()
+OUT_WORLD = BOARD.rotation[:, 0]
+AIRFRAME = Airframe()
 FLYING = VehicleState(0, "OFFBOARD", armed=True, obeying=True, battery_fraction=0.8, landed=False)
+
+
+def controls(**mission: Any) -> ControlSettings:
+    """Settings as they are flown, keep-outs and all, with another mission in them."""
+    return ControlSettings(mission=MissionSettings(**mission), keep_outs=AIRFRAME.keep_outs)
 
 
 @dataclass
@@ -45,7 +54,7 @@ class World:
     seed: int = 0
     start: tuple[float, float, float] = (3.0, 0.15, 1.6)
     """Of the body, in the world."""
-    settings: ControlSettings = field(default_factory=ControlSettings)
+    settings: ControlSettings = field(default_factory=controls)
 
     link: bool = True
     """The worker answers."""
@@ -53,26 +62,29 @@ class World:
     """The target is in view."""
     vehicle: VehicleState | None = FLYING
     order: Order = Order.GO
-    jumped: bool = False
-    """What the odometry's watch says: until the first measurement from after the jump."""
     wrong_by: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Error of the next measurement [m]; then it is right again."""
+    """Error [m] of the next"""
+    wrong: int = 0
+    """so many measurements."""
+    moves: bool = True
+    """The vehicle flies what it is told; it may say so and not do it."""
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng(self.seed)
-        self.airframe = Airframe()
         self.body, self.yaw = np.array(self.start), 0.1
         self.velocity, self.yaw_rate, self.arm = np.zeros(3), 0.0, AT_REST
         self.vio_from_world = Pose.identity()
         self.tick = 0
         self.commands = [(np.zeros(3), 0.0)] * DELAY_TICKS
-        self.in_flight: list[tuple[int, int, Pose, Pose, float]] = []
+        self.in_flight: list[tuple[int, TargetMeasurement]] = []
         self.estimate: TargetEstimate | None = None
-        self.jumped_tick = -1
+        self.epoch = 0
+        self.jumped = False  # what the watch says: until a measurement from after the jump
         self.mission = begin(0)
         self.tips: list[np.ndarray] = []
         self.closing: list[float] = []
         self.decisions: list[Decision] = []
+        self.outward_mps: list[float] = []
         self.transitions: list[Transition] = []
 
     @property
@@ -85,13 +97,16 @@ class World:
 
     @property
     def world_from_body(self) -> Pose:
-        return pose(self.body, (0, 0, self.yaw))
+        return Pose(self.body, np.array([math.cos(self.yaw / 2), 0, 0, math.sin(self.yaw / 2)]))
 
     @property
     def tip(self) -> np.ndarray:
         """The true unloaded tip in frame ``target``."""
-        tip_world = self.world_from_body @ self.airframe.body_from_tip.translation
-        return TARGET_FROM_WORLD @ tip_world
+        ahead, left, up = AIRFRAME.body_from_tip.translation
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        x, y, z = self.body + (c * ahead - s * left, s * ahead + c * left, up)
+        at = BOARD.translation
+        return np.array([at[0] - x, at[1] - y, z - at[2]])
 
     @property
     def reasons(self) -> list[Reason]:
@@ -101,16 +116,26 @@ class World:
     def phases(self) -> list[Phase]:
         return [t.after for t in self.transitions]
 
-    def jump(self, by: Pose) -> None:
-        """The odometry's world moves."""
+    def jump(self, by: Pose, *, noticed: bool = True) -> None:
+        """The odometry's world moves, and what watches it says so, or does not."""
         self.vio_from_world = by @ self.vio_from_world
-        self.jumped, self.jumped_tick = True, self.tick
+        if noticed:
+            self.jumped, self.epoch, self.estimate = True, self.epoch + 1, None
+
+    def fork(self) -> World:
+        """Another world that goes on from here; what is in the lists is never changed."""
+        other = copy.copy(self)
+        other.rng = copy.deepcopy(self.rng)
+        for name, value in vars(self).items():
+            if isinstance(value, list):
+                setattr(other, name, list(value))
+        return other
 
     def fly(self, seconds: float) -> World:
-        """So long, or until the mission is over and the vehicle has come to rest."""
+        """So long, or until the vehicle was given back and has come to rest."""
         for _ in range(round(seconds / TICK_S)):
             self.step()
-            if self.phase.final and self.mission.given_back and abs(self.velocity).max() < 1e-3:
+            if self.phase.final and self.mission.given_back and abs(self.velocity).max() < 2e-3:
                 break
         return self
 
@@ -135,67 +160,67 @@ class World:
             self.now_ns,
             self.estimate,
             odometry,
-            self.airframe,
+            AIRFRAME,
             self.settings,
             OnMission(self.mission, senses),
         )
+        assert decision.mission is not None
         self.mission = decision.mission
         if self.mission.transition is not None:
             self.transitions.append(self.mission.transition)
         self.decisions.append(decision)
         turn = self.vio_from_world.rotation.T  # the command is in the odometry's world
         command = (turn @ decision.command.velocity_world, decision.command.yaw_rate_radps)
-        if vehicle is None or not vehicle.obeying:
+        self.outward_mps.append(float(OUT_WORLD @ command[0]))
+        if vehicle is None or not vehicle.obeying or not self.moves:
             command = (np.zeros(3), 0.0)  # whoever has it holds it
         self.commands.append(command)
         self._move(*self.commands.pop(0))
         self.tips.append(self.tip)
 
     def _look(self, odometry: Pose) -> None:
+        """A frame, if it is time for one; and the answers that are due."""
         if self.tick % FRAME_TICKS == 0 and self.link and self.sees:
-            camera_from_target = (
-                self.world_from_body @ self.airframe.body_from_camera
-            ).inverse() @ BOARD
-            error = np.array(self.wrong_by)
-            self.wrong_by = (0.0, 0.0, 0.0)
-            sigma_m = SIGMA_M + SIGMA_PER_M * np.linalg.norm(camera_from_target.translation)
+            world_from_camera = self.world_from_body @ AIRFRAME.body_from_camera
+            camera_from_target = world_from_camera.inverse() @ BOARD
+            error = np.array(self.wrong_by) if self.wrong else np.zeros(3)
+            self.wrong = max(0, self.wrong - 1)
+            range_m = float(np.linalg.norm(camera_from_target.translation))
+            sigma_m = SIGMA_M + SIGMA_PER_M * range_m
             seen = camera_from_target @ pose(
                 sigma_m * self.rng.normal(size=3) + error, SIGMA_RAD * self.rng.normal(size=3)
             )
-            at = odometry @ self.airframe.body_from_camera
-            self.in_flight.append((self.tick + ANSWER_TICKS, self.tick, at, seen, sigma_m))
-        for answer in [a for a in self.in_flight if a[0] <= self.tick]:
-            self.in_flight.remove(answer)
-            _, captured, at, seen, sigma_m = answer
-            if not self.link or captured < self.jumped_tick:
-                continue
-            covariance = np.diag([sigma_m**2] * 3 + [SIGMA_RAD**2] * 3)
-            measurement = measure(at, seen, covariance, captured * TICK_NS)
-            prior = None if self.jumped else self.estimate
-            self.estimate, _ = update(prior, measurement)
-            self.jumped = False
+            measurement = measure(
+                odometry @ AIRFRAME.body_from_camera,
+                seen,
+                np.diag([sigma_m**2] * 3 + [SIGMA_RAD**2] * 3),
+                self.now_ns,
+                epoch=self.epoch,
+            )
+            self.in_flight.append((self.tick + ANSWER_TICKS, measurement))
+        while self.in_flight and self.in_flight[0][0] <= self.tick:
+            _, measurement = self.in_flight.pop(0)
+            if self.link and measurement.epoch == self.epoch:
+                self.estimate, _ = update(self.estimate, measurement)
+                self.jumped = False
 
     def _move(self, velocity_command: np.ndarray, yaw_rate_command: float) -> None:
-        out = BOARD.rotation[:, 0]
-        steps = 5
+        """The vehicle follows with a lag; the arm on the board pushes it back."""
+        arm = self.settings.mission.contact.arm
+        steps = 4
+        dt = TICK_S / steps
+        before = float(self.tip[0])
         for _ in range(steps):
-            dt = TICK_S / steps
             acceleration = (velocity_command - self.velocity) / LAG_S
-            tip = self.tip
-            arm = self.settings.mission.contact.arm
-            if tip[0] < 0.0:
-                acceleration = acceleration + out * arm.force_n(self.arm) / MASS_KG
+            if before < 0.0:
+                acceleration = acceleration + OUT_WORLD * (arm.force_n(self.arm) / MASS_KG)
             self.velocity = self.velocity + dt * acceleration
             self.yaw_rate += dt / LAG_S * (yaw_rate_command - self.yaw_rate)
             self.body = self.body + dt * self.velocity
             self.yaw += dt * self.yaw_rate
-            before, after = tip[0], self.tip[0]
+            after = float(self.tip[0])
             closing = (before - after) / dt
-            self.arm = arm.touched(self.arm, Base(-float(after), closing, 0.0), dt)
+            self.arm = arm.touched(self.arm, Base(-after, closing, 0.0), dt)
             if before > 0.0 >= after:
                 self.closing.append(closing)
-
-
-def controls(**mission: object) -> ControlSettings:
-    """Settings with another mission in them."""
-    return ControlSettings(mission=MissionSettings(**mission), filter=FilterSettings())
+            before = after
