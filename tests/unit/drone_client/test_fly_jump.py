@@ -1,0 +1,71 @@
+"""A jump of the odometry in a whole flight in real time, with all its threads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME
+from drone_client.mission import Phase
+from rgbd_wire.geometry import Pose
+from rgbd_wire.messages import FrameHeader, pose_of
+from tests.unit.drone_client.builders import target_of
+from tests.unit.drone_client.test_fly import WORLD_FROM_TARGET, AtTheWall, Scene
+
+AWAY = np.array([-0.2, 0.15, 0.17])
+"""30 cm."""
+
+
+class Astray(AtTheWall):
+    """Its estimator jumps once when told to; the vehicle itself does not move."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.jumped_ns: int | None = None
+
+    def jump(self) -> None:
+        self.jumped_ns = self._clock.now_ns()
+
+    def away_at(self, t_ns: int) -> np.ndarray:
+        return np.zeros(3) if self.jumped_ns is None or t_ns < self.jumped_ns else AWAY
+
+    def state(self):
+        state = super().state()
+        told = state.world_from_body
+        away = self.away_at(state.t_pose_ns)
+        return replace(state, world_from_body=Pose(told.translation + away, told.q_wxyz))
+
+
+class AstrayScene(Scene):
+    """A worker sees the true scene, whatever the drone believes of itself."""
+
+    def _look(self, header: FrameHeader):
+        if header.world_from_camera is None:
+            return None
+        told = pose_of(header.world_from_camera)
+        away = self.vehicle.away_at(header.t_capture_ns)
+        true = Pose(told.translation - away, told.q_wxyz)
+        return target_of(true.inverse() @ WORLD_FROM_TARGET, np.diag([1e-7] * 6))
+
+
+@pytest.mark.parametrize("phase", [Phase.ALIGN, Phase.APPROACH, Phase.CONTACT])
+def test_a_jump_brakes_and_is_written_down(tmp_path, phase: Phase):
+    """One event with its reason; nothing but standing until the target was measured again."""
+    scene = AstrayScene(tmp_path, Astray())
+    scene.when(phase, scene.vehicle.jump)
+    scene.fly()
+    events = scene.lines(EVENTS_NAME)
+    jumped = [e for e in events if e["event"] == "odometry_jumped"]
+    assert [e["reason"] for e in jumped] == ["position"]
+    assert "jumped" in jumped[0]["sentence"]
+    brake = next(e for e in events if e.get("after") == "brake")
+    assert brake["reason"] == "odometry_jumped"
+    left = next(e for e in events if e.get("before") == "brake")
+    braking = [t for t in scene.lines(TICKS_NAME) if brake["t_ns"] <= t["t_ns"] < left["t_ns"]]
+    assert braking[:-1]
+    assert not any(np.any(t["command_mps"]) for t in braking[:-1] if t["phase"] == "brake")
+    updates = [line.get("update") for line in scene.lines(LEDGER_NAME)]
+    assert updates.count("first") == 2
+    assert left["after"] == "retreat"
