@@ -24,7 +24,9 @@ from drone_client.ledger import Ledger
 from drone_client.link import Link
 from drone_client.link.waiting import wait_for_worker
 from drone_client.mission import Order, Senses, begin
+from drone_client.odometry.feed import OdometryFeed
 from drone_client.odometry.jump import Jump
+from drone_client.odometry.source import OdometrySource
 from drone_client.promptness import yield_soon
 from drone_client.reception import Reception
 from drone_client.run_report import report, take_down
@@ -67,6 +69,7 @@ class _Run:
         clock: Clock,
         ledger: Ledger,
         on_accepted: Callable[[Reception], None],
+        odometry: OdometrySource | None,
     ) -> None:
         self.orders = Orders()
         self.over = threading.Event()
@@ -80,6 +83,7 @@ class _Run:
         self._ledger = ledger
         self._stopping = threading.Event()
         self._pump = threading.Thread(target=self._run_pump, name="camera", daemon=True)
+        self.feed = None if odometry is None else OdometryFeed(odometry, vehicle, self._on_vio_jump)
         self._pose = VehiclePose(
             vehicle.state,
             lambda t_ns, pose: self.flight.keep_pose(t_ns, pose),
@@ -134,15 +138,23 @@ class _Run:
     def _senses(self, now_ns: int) -> Senses:
         # a vehicle that hears nothing of us obeys nobody, and is flown as if there were none
         heard = None if isinstance(self._vehicle, Unheard) else self._vehicle.state()
+        forward_m = None if self.feed is None else self.feed.tick(now_ns)
         jumped = self._pose.jumped(now_ns) or self.flight.receiver.lost is not None
-        return Senses(heard, odometry_jumped=jumped, order=self.orders.now)
+        return Senses(heard, odometry_jumped=jumped, forward_m=forward_m, order=self.orders.now)
 
     def _on_jump(self, jump: Jump) -> None:
+        self._take_jump("odometry_jumped", jump)
+
+    def _on_vio_jump(self, jump: Jump) -> None:
+        # the autopilot's estimator is told of it, and its pose is about to follow
+        self._take_jump("vio_jumped", jump)
+
+    def _take_jump(self, event: str, jump: Jump) -> None:
         self.flight.receiver.begin_epoch(jump.t_ns)
         self.sentences.put(jump.sentence)
         self._ledger.event(
             self._clock.now_ns(),
-            "odometry_jumped",
+            event,
             reason=jump.reason.value,
             t_pose_ns=jump.t_ns,
             sentence=jump.sentence,
@@ -177,8 +189,11 @@ def fly(
     clock: Clock,
     cockpit: Cockpit,
     on_accepted: Callable[[Reception], None] = lambda reception: None,
+    odometry: OdometrySource | None = None,
 ) -> dict[str, Any]:
     """Fly one mission; returns the summary, which is also written beside ledger and plot.
+
+    What the robot's own VIO and lidars say (``odometry``) is passed on to the autopilot.
 
     An interrupt (Ctrl-C) aborts the mission: the drone backs off and is given back. A second one
     gives it back at once.
@@ -195,7 +210,7 @@ def fly(
         )
         parts = replace(parts, control=control)
     ledger = Ledger(options.out, overwrite=options.overwrite, own_eyes=settings.onboard_fallback)
-    run = _Run(source, vehicle, airframe, parts, link, clock, ledger, on_accepted)
+    run = _Run(source, vehicle, airframe, parts, link, clock, ledger, on_accepted, odometry)
     agreed, at_end = False, {}
     try:
         run.start()
@@ -225,6 +240,7 @@ def fly(
         "attempts": 0 if mission is None else mission.attempts,
         "camera": source.counts(),
         "camera_error": None if run.camera_error is None else str(run.camera_error),
+        **({} if run.feed is None else {"odometry": run.feed.counts()}),
         **at_end,
     }
     return report(options.out, settings, run.flight, ledger, about, plot=options.plot)

@@ -7,6 +7,7 @@ the new place over a second (docs/odometry.md).
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
@@ -33,7 +34,7 @@ class Estimator(Protocol):
 
 
 class OdometryFeed:
-    """Passes each sample on once. Belongs to one thread."""
+    """Passes each sample on once. May be ticked from several threads."""
 
     def __init__(
         self,
@@ -60,16 +61,29 @@ class OdometryFeed:
         self._estimator = estimator
         self._on_jump = on_jump
         self._watch = JumpWatch(jump)
+        self._lock = threading.Lock()
         self._resets = 0
         self._odometry: OdometrySample | None = None
         self._ranges: dict[str, RangeSample] = {}
 
     def tick(self, now_ns: int) -> float | None:
         """Pass on what is new; returns the distance ahead that the mission may use, if any."""
-        self._pass_odometry(self._source.odometry())
-        self._pass_range("height", self._source.height(), self.height)
-        self._pass_range("ahead", self._source.ahead(), self.ahead)
-        return self.ahead.forward_m(now_ns)
+        with self._lock:
+            self._pass_odometry(self._source.odometry())
+            self._pass_range("height", self._source.height(), self.height)
+            self._pass_range("ahead", self._source.ahead(), self.ahead)
+            return self.ahead.forward_m(now_ns)
+
+    def counts(self) -> dict[str, int]:
+        """What was given and what was not, for the summary."""
+        with self._lock:
+            return {
+                "odometry_given": self.given,
+                "odometry_jumps": self._watch.jumps.total(),
+                "odometry_left_out": self._watch.left_out,
+                **{f"height_{v.value}": n for v, n in self.height.verdicts.items()},
+                **{f"ahead_{v.value}": n for v, n in self.ahead.verdicts.items()},
+            }
 
     def _pass_odometry(self, sample: OdometrySample | None) -> None:
         if sample is None or sample is self._odometry:

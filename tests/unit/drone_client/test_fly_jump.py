@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from drone_client.fly.run import FlyOptions, fly
 from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME
 from drone_client.mission import Phase
+from drone_client.odometry import OdometrySample, RangeSample
+from drone_client.odometry.source import MemoryOdometry
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import FrameHeader, pose_of
-from tests.unit.drone_client.builders import target_of
-from tests.unit.drone_client.test_fly import WORLD_FROM_TARGET, AtTheWall, Scene
+from tests.unit.drone_client.builders import pose, target_of
+from tests.unit.drone_client.test_fly import (
+    AIRFRAME,
+    CLOCK,
+    WORLD_FROM_TARGET,
+    AtTheWall,
+    Scene,
+)
 
 AWAY = np.array([-0.2, 0.15, 0.17])
 """30 cm."""
@@ -69,3 +79,46 @@ def test_a_jump_brakes_and_is_written_down(tmp_path, phase: Phase):
     updates = [line.get("update") for line in scene.lines(LEDGER_NAME)]
     assert updates.count("first") == 2
     assert left["after"] == "retreat"
+
+
+def test_vio_and_lidars_go_to_the_autopilot_while_it_flies(tmp_path):
+    """Given on from the control side; a jump of the VIO is counted into it, brakes, and is told."""
+    scene = Scene(tmp_path)
+    robot = MemoryOdometry()
+    stop, jumps_now = threading.Event(), threading.Event()
+    scene.when(Phase.ALIGN, jumps_now.set)
+
+    def run_robot() -> None:
+        while not stop.wait(0.01):
+            now_ns = CLOCK.now_ns()
+            where = pose((0.5, 0, 0)) if jumps_now.is_set() else pose()
+            robot.newest_odometry = OdometrySample(now_ns, where, np.zeros(3))
+            robot.newest_height = RangeSample(now_ns, 1.4)
+            robot.newest_ahead = RangeSample(now_ns, 9.0, looks_down=False)
+
+    thread = threading.Thread(target=run_robot, daemon=True)
+    thread.start()
+    try:
+        summary = fly(
+            scene.camera,
+            scene.vehicle,
+            AIRFRAME,
+            scene.settings,
+            scene.parts,
+            FlyOptions(tmp_path, plot=False),
+            scene.link,
+            CLOCK,
+            scene.person,
+            odometry=robot,
+        )
+    finally:
+        stop.set()
+        thread.join()
+    assert scene.vehicle.given_odometry.resets >= 1
+    assert scene.vehicle.given_range is not None
+    assert summary["odometry"]["odometry_given"] > 10
+    events = scene.lines(EVENTS_NAME)
+    assert "position" in [e["reason"] for e in events if e["event"] == "vio_jumped"]
+    assert not [e for e in events if e["event"] == "odometry_jumped"]
+    brake = next(e for e in events if e.get("after") == "brake")
+    assert brake["reason"] == "odometry_jumped"

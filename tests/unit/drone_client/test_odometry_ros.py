@@ -363,3 +363,6 @@ def test_an_outlier_of_the_lidar_is_not_given():
         source.newest_height = RangeSample(i * 20 * MS, distance)
         assert feed.tick(i * 20 * MS) is None  # it looks down: nothing for the mission
     assert [r.distance_m for r in estimator.ranges] == [1.0, 1.0, 1.0]
+    counts = feed.counts()
+    assert (counts["height_taken"], counts["height_outlier"]) == (3, 1)
+    assert counts["odometry_given"] == 0
