@@ -240,8 +240,8 @@ def _by_deflection(now: Feeling, settings: ContactSettings) -> Vote:
 
 def _by_lidar(now: Feeling, settings: ContactSettings) -> Vote:
     """Whether the board is as far away as the unloaded tip, or nearer."""
-    if now.forward_m is None or not 0.0 <= now.forward_m <= FARTHEST:
-        return Vote.SILENT
+    if now.forward_m is None or not 0.0 < now.forward_m <= FARTHEST:
+        return Vote.SILENT  # a zero is what many of them say when they see nothing
     gap_m = now.forward_m - (now.tip_ahead_m - settings.lidar_ahead_m)
     return Vote.YES if gap_m <= settings.lidar_margin_m else Vote.NO
 

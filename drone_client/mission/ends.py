@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drone_client.cbf.status import Status
-from drone_client.mission.move import Move, lasts, phase_lasts, phase_s, place
+from drone_client.mission.move import Move, clock_stands, lasts, phase_lasts, phase_s, place, quoted
 from drone_client.mission.phase import Order, Phase, Reason
 from drone_client.mission.settings import MissionSettings
 from drone_client.mission.state import MissionState, Observation
@@ -25,11 +25,11 @@ def taken_away(
             return Reason.VEHICLE_SILENT, "nothing is known of the vehicle any more"
         return None
     if vehicle.failsafe:
-        return Reason.FAILSAFE, f"failsafe of the autopilot: {vehicle.failsafe[:80]}"
+        return Reason.FAILSAFE, f"failsafe of the autopilot: {quoted(vehicle.failsafe, 80)}"
     if vehicle.landed:
         return Reason.LANDED, "the vehicle has landed"
     if not vehicle.obeying:
-        return Reason.PILOT, f"the vehicle is in mode {vehicle.mode[:40]} and takes no commands"
+        return Reason.PILOT, f"in mode {quoted(vehicle.mode, 40)} the vehicle takes no commands"
     if lasts(vehicle.t_heard_ns, obs.now_ns, settings.silent_s):
         return Reason.VEHICLE_SILENT, f"autopilot not heard for over {settings.silent_s:g} s"
     return None
@@ -39,7 +39,7 @@ def end(state: MissionState, obs: Observation, settings: MissionSettings) -> Mov
     """The move to ABORT, if anything asks for it."""
     why = taken_away(state, obs, settings) or _ordered(state, obs, settings)
     if why is None and state.begun_ns is not None:
-        why = _flown_wrong(state) or _too_long(state, settings)
+        why = _timeless(state) or _flown_wrong(state) or _too_long(state, settings)
     return None if why is None else Move(Phase.ABORT, *why)
 
 
@@ -63,6 +63,13 @@ def _ordered(
             f"battery at {battery:.0%}, below {settings.battery_min:.0%}",
         )
     return None
+
+
+def _timeless(state: MissionState) -> tuple[Reason, str] | None:
+    """A clock that stands makes everything look as fresh as it ever was."""
+    if not clock_stands(state):
+        return None
+    return Reason.CLOCK_STANDS, f"the clock has not gone on for {state.stood} ticks"
 
 
 def _flown_wrong(state: MissionState) -> tuple[Reason, str] | None:

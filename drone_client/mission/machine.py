@@ -15,8 +15,16 @@ from drone_client.guidance import STILL, Aim, Goal
 from drone_client.mission.contact import FARTHEST, ContactState, Feeling, feel
 from drone_client.mission.ends import end, taken_away
 from drone_client.mission.interrupts import interrupt
-from drone_client.mission.move import NS_PER_S, Move, is_good, phase_lasts, since, trusted
-from drone_client.mission.phase import Phase, Reason
+from drone_client.mission.move import (
+    NS_PER_S,
+    Move,
+    clock_stands,
+    is_good,
+    phase_lasts,
+    since,
+    trusted,
+)
+from drone_client.mission.phase import Order, Phase, Reason
 from drone_client.mission.settings import MissionSettings
 from drone_client.mission.state import Intent, MissionState, Observation, Seen, Transition
 from drone_client.mission.ways import way_on
@@ -25,6 +33,8 @@ LAST_NS = 2**63 - 1
 """Clocks end here; what comes later is this."""
 FASTEST_MPS = 1.0
 """Between two ticks a tip moves no faster: more than twice the filter's limit."""
+LATE_S = 0.2
+"""Over a longer pause between two ticks nobody can tell a leap from a flight: it is a leap."""
 HEADING_MAX_RAD = 1e3
 
 
@@ -79,12 +89,15 @@ def _sane(obs: Observation) -> Observation:
 def _looked(state: MissionState, obs: Observation, settings: MissionSettings) -> MissionState:
     """The state with what this tick shows, before anything is decided."""
     now_ns = min(max(state.now_ns, obs.now_ns), LAST_NS)
-    state = replace(state, now_ns=now_ns, transition=None)
+    passed_ns = now_ns - state.now_ns
+    state = replace(
+        state, now_ns=now_ns, stood=0 if passed_ns else min(state.stood + 1, 10**6), transition=None
+    )
     if obs.senses.odometry_jumped or not obs.own_pose:
         state = replace(state, lost_ns=now_ns)
     seen = trusted(state, obs)
     good = is_good(seen, settings)
-    leapt = _leapt(state, seen, obs.now_ns, settings)
+    leapt = _leapt(state, seen, passed_ns / NS_PER_S, settings)
     state = replace(
         state,
         hands_off=state.hands_off or taken_away(state, obs, settings) is not None,
@@ -102,14 +115,16 @@ def _looked(state: MissionState, obs: Observation, settings: MissionSettings) ->
     return _scanned(_approached(state, seen, obs, settings), obs, settings)
 
 
-def _leapt(state: MissionState, seen: Seen | None, now_ns: int, settings: MissionSettings) -> bool:
+def _leapt(
+    state: MissionState, seen: Seen | None, passed_s: float, settings: MissionSettings
+) -> bool:
     """Whether the tip moved further in the target's frame than it can have flown."""
     if seen is None or state.tip_target is None:
         return False
     moved_m = norm(moved(seen.tip_target, state.tip_target, -1.0))
-    flown_m = FASTEST_MPS * (min(now_ns, LAST_NS) - state.now_ns) / NS_PER_S
+    flown_m = FASTEST_MPS * min(passed_s, LATE_S)
     allowed_m = settings.leap_m + settings.leap_rad * norm(seen.tip_target)
-    return not moved_m <= allowed_m + max(flown_m, 0.0)
+    return not moved_m <= allowed_m + flown_m
 
 
 def _is_aligned(seen: Seen, settings: MissionSettings) -> bool:
@@ -174,8 +189,17 @@ def _entered(state: MissionState, move: Move, obs: Observation) -> MissionState:
     )
     match move.to:
         case Phase.SEARCH:
+            if before is Phase.HOLD and state.begun_ns is not None:
+                return state  # the same search goes on
             begun_ns = now_ns if state.begun_ns is None else state.begun_ns
-            return replace(state, begun_ns=begun_ns, scan_from_rad=_heading(obs), scan_sign=1.0)
+            # Lost near the board, nobody knows how near: it does not swing its arm there.
+            lost = before in (Phase.BRAKE, Phase.RETREAT) and state.tip_target is None
+            return replace(
+                state,
+                begun_ns=begun_ns,
+                scan_from_rad=_heading(obs),
+                scan_sign=0.0 if lost else 1.0,
+            )
         case Phase.ALIGN if before in (Phase.SEARCH, Phase.RETREAT):
             return replace(
                 state, attempts=state.attempts + 1, attempt_ns=now_ns, aligned_since_ns=None
@@ -198,7 +222,12 @@ def _entered(state: MissionState, move: Move, obs: Observation) -> MissionState:
 
 def _intent(state: MissionState, obs: Observation, settings: MissionSettings) -> Intent:
     """What the phase wants to fly."""
-    blind = state.begun_ns is None or state.hands_off or trusted(state, obs) is None
+    blind = (
+        state.begun_ns is None
+        or state.hands_off
+        or clock_stands(state)
+        or trusted(state, obs) is None
+    )
     match state.phase:
         case Phase.SEARCH:
             return Intent(blind=True, yaw_rate_radps=_scan_radps(state, obs, settings))
@@ -213,7 +242,7 @@ def _intent(state: MissionState, obs: Observation, settings: MissionSettings) ->
         case Phase.DONE:
             return Intent(blind=blind, give_back=True)
         case Phase.ABORT:
-            return _away(state, blind, settings)
+            return _away(state, obs, blind, settings)
         case _:
             return Intent(blind=blind)
 
@@ -221,17 +250,18 @@ def _intent(state: MissionState, obs: Observation, settings: MissionSettings) ->
 def _scan_radps(state: MissionState, obs: Observation, settings: MissionSettings) -> float:
     if state.scan_from_rad is None or _heading(obs) is None or settings.scan_half_rad == 0.0:
         return 0.0
-    if state.good_since_ns is not None:
-        return 0.0  # it is in view
+    if state.good_since_ns is not None or clock_stands(state):
+        return 0.0  # it is in view; or nobody knows for how long it has been turning
     return state.scan_sign * settings.scan_radps
 
 
-def _away(state: MissionState, blind: bool, settings: MissionSettings) -> Intent:
+def _away(state: MissionState, obs: Observation, blind: bool, settings: MissionSettings) -> Intent:
     """Back off while it can, to the stand-off distance; then stand, and let the vehicle go."""
-    if state.hands_off or state.given_back:
+    if state.hands_off or state.given_back or clock_stands(state):
         return Intent(blind=blind, give_back=True)
     over = phase_lasts(state, settings.brake_s if blind else settings.retreat_max_s)
     x_m = math.nan if state.tip_target is None else state.tip_target[0]
     if over or x_m >= settings.standoff_m - settings.standoff_tolerance_m:
         return Intent(blind=blind, give_back=True)
-    return Intent(STILL if blind else Goal(Aim.RETREAT, settings.standoff_m), blind)
+    stands = blind or obs.senses.order is Order.HOLD  # a person may see what is behind it
+    return Intent(STILL if stands else Goal(Aim.RETREAT, settings.standoff_m), blind)

@@ -10,6 +10,8 @@ from drone_client.mission.settings import MissionSettings
 from drone_client.mission.state import MissionState, Observation, Seen
 
 NS_PER_S = 1_000_000_000
+STOOD_TICKS = 5
+"""A clock that does not go on between so many ticks in a row is broken."""
 
 
 class Move(NamedTuple):
@@ -42,6 +44,11 @@ def phase_s(state: MissionState) -> float:
     return (state.now_ns - state.since_ns) / NS_PER_S
 
 
+def clock_stands(state: MissionState) -> bool:
+    """Whether time has stood still for so many ticks that no age means anything any more."""
+    return state.stood >= STOOD_TICKS
+
+
 def trusted(state: MissionState, obs: Observation) -> Seen | None:
     """The target, unless what is known of it is from before the drone lost its own place."""
     seen = obs.seen
@@ -66,6 +73,11 @@ def last_seen(seen: Seen) -> str:
     """How long ago the target was seen, for people; absurd ages are cut."""
     age_ms = min(max(seen.age_ns, -(10**15)), 10**15) / 1e6
     return f"the target was last seen {age_ms:.0f} ms ago"
+
+
+def quoted(text: str, length: int) -> str:
+    """What another machine says, fit for a log: short and printable."""
+    return "".join(c if c.isprintable() else "?" for c in text[:length])
 
 
 def place(state: MissionState) -> str:

@@ -76,6 +76,8 @@ class Reason(StrEnum):
 
     FILTER_ABORT = "filter_abort"
     """The safety filter found the tip where it may not be, or numbers that are none."""
+    CLOCK_STANDS = "clock_stands"
+    """The drone's clock does not go on: how old anything is cannot be told."""
     PILOT = "pilot"
     """The vehicle does not take our commands any more."""
     LANDED = "landed"

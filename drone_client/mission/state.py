@@ -98,6 +98,8 @@ class MissionState:
     """Begin of the phase, drone's clock."""
     now_ns: int
     """Last tick; never goes back."""
+    stood: int = 0
+    """For so many ticks in a row the clock has not gone on."""
     transition: Transition | None = None
     """What happened in the last tick; None: nothing."""
 

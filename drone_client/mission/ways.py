@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 from drone_client.cbf.freshness import Freshness
-from drone_client.mission.move import Move, is_doubted, lasts, phase_lasts, phase_s, place, trusted
+from drone_client.mission.move import (
+    Move,
+    is_doubted,
+    lasts,
+    phase_lasts,
+    phase_s,
+    place,
+    quoted,
+    trusted,
+)
 from drone_client.mission.phase import Order, Phase, Reason
 from drone_client.mission.settings import MissionSettings
 from drone_client.mission.state import MissionState, Observation
@@ -147,8 +156,10 @@ def _hold(state: MissionState, obs: Observation, settings: MissionSettings) -> M
 
 
 def _begin(state: MissionState, obs: Observation, settings: MissionSettings) -> Move | None:
-    """From waiting to searching, as soon as the vehicle is ours and well."""
+    """From waiting to searching, as soon as the vehicle is ours and well, and a person says GO."""
     vehicle = obs.senses.vehicle
+    if obs.senses.order is Order.HOLD:
+        return None
     if vehicle is None:
         if settings.needs_vehicle:
             return None
@@ -163,7 +174,7 @@ def _begin(state: MissionState, obs: Observation, settings: MissionSettings) -> 
     ):
         return None
     return Move(
-        Phase.SEARCH, Reason.VEHICLE_READY, f"the vehicle obeys in mode {vehicle.mode[:40]}"
+        Phase.SEARCH, Reason.VEHICLE_READY, f"the vehicle obeys in mode {quoted(vehicle.mode, 40)}"
     )
 
 

@@ -195,6 +195,15 @@ def test_two_witnesses_are_believed_sooner() -> None:
     assert [k * TICK_S for k in first] == pytest.approx([SETTINGS.two_s, SETTINGS.one_s])
 
 
+@pytest.mark.parametrize("forward_m", [None, 0.0, -0.0, -1.0, math.nan, math.inf])
+def test_a_lidar_that_sees_nothing_is_no_witness(forward_m) -> None:
+    """Many say zero then, which is not a board right before them."""
+    states = felt(feeling(k, -0.02, 0.0, forward_m=forward_m, tip_ahead_m=0.55) for k in range(60))
+    assert {s.votes.lidar for s in states} == {Vote.SILENT}
+    touch = next(k for k, s in enumerate(states) if s.touching)
+    assert touch * TICK_S == pytest.approx(SETTINGS.one_s)
+
+
 @given(st.integers(0, 59), st.sampled_from(["x", "world", "command", "lidar"]))
 def test_no_single_sample_makes_or_breaks_contact(at, what) -> None:
     """One wild number among good ones, whichever it is."""

@@ -409,14 +409,95 @@ def test_a_search_turns_back_and_forth_within_its_bounds() -> None:
     assert t.tick(own_pose=False).intent.yaw_rate_radps == 0.0
 
 
-def test_a_clock_that_goes_back_changes_nothing() -> None:
-    """The mission's time stands still until the clock has caught up."""
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("back_ns", [0, 1, 10**30])
+def test_a_clock_that_does_not_go_on_ends_the_mission(phase, back_ns) -> None:
+    """Everything would look fresh for ever: after five such ticks it stands, and lets go."""
+    t = in_phase(phase)
+    x = 1.0 if t.state.tip_target is None else t.state.tip_target[0]
+
+    def tick() -> None:
+        t.now_ns = t.state.now_ns - back_ns - TICK_NS
+        t.tick(seen(x), told=PRESSED)
+
+    for _ in range(4):
+        tick()
+    assert t.phase is phase
+    tick()
+    assert t.phase is (phase if phase.final else Phase.ABORT)
+    assert phase.final or t.reason is Reason.CLOCK_STANDS
+    assert t.intent == Intent(STILL, blind=True, give_back=True)
+    t.now_ns = t.state.now_ns
+    t.ticks(1.0, seen(0.3))
+    assert t.phase.final
+    assert t.intent == Intent(STILL, give_back=True)
+
+
+def test_a_clock_that_stumbles_changes_nothing() -> None:
+    """A few ticks back, and the mission's time stands still until the clock has caught up."""
     t = in_phase(Phase.APPROACH)
     later_ns = t.state.now_ns
-    t.now_ns = -(10**30)
-    t.ticks(1.0, seen(0.9))
+    t.now_ns -= 4 * TICK_NS
+    t.ticks(0.08, seen(0.9))
     assert t.state.now_ns == later_ns
+    t.ticks(1.0, seen(0.9))
     assert t.phase is Phase.APPROACH
+    assert t.state.now_ns > later_ns
+
+
+def test_a_late_tick_allows_for_what_was_flown_meanwhile() -> None:
+    """By the time that passed, up to a fifth of a second; over a longer pause it is a leap."""
+    x = 0.9
+    allowed_m = SETTINGS.leap_m + SETTINGS.leap_rad * x
+    for pause_ns, flown_m, phase in (
+        (TICK_NS, 0.05, Phase.BRAKE),
+        (100 * MS, 0.05, Phase.APPROACH),
+        (10 * SECOND, 0.3, Phase.BRAKE),
+    ):
+        t = in_phase(Phase.APPROACH)
+        t.now_ns += pause_ns - TICK_NS
+        t.tick(seen(x, tip_target=(x, allowed_m + flown_m - 0.005, 0.0)))
+        assert t.phase is phase
+
+
+def test_a_person_who_says_hold_lets_nothing_begin() -> None:
+    """A vehicle that obeys already is waited with."""
+    t = Flown().ticks(5.0, seen(), order=Order.HOLD)
+    assert (t.phase, t.reason, t.intent) == (Phase.HOLD, Reason.WAITING, Intent(blind=True))
+    assert t.tick(seen()).phase is Phase.SEARCH
+
+
+def test_a_person_who_says_hold_stops_the_way_back_of_an_abort() -> None:
+    """There may be something behind the drone; it stands until GO, or until it gives it back."""
+    t = in_phase(Phase.APPROACH).glide(0.4)
+    t.tick(seen(0.4), vehicle=vehicle(battery_fraction=0.1))
+    assert t.intent.goal.aim is Aim.RETREAT
+    t.tick(seen(0.4), order=Order.HOLD)
+    assert t.intent == Intent(STILL)
+    t.tick(seen(0.4))
+    assert t.intent.goal.aim is Aim.RETREAT
+    t.ticks(SETTINGS.retreat_max_s, seen(0.4), order=Order.HOLD)
+    assert t.intent == Intent(STILL, give_back=True)
+
+
+def test_a_search_for_what_was_lost_near_the_board_does_not_turn() -> None:
+    """Nobody knows how near: the arm would swing along the wall. Not after a hold, either."""
+    asked = MissionSettings(scan_half_rad=0.5)
+    t = in_phase(Phase.APPROACH, asked)
+    t.ticks(0.6, None, heading_rad=0.0)
+    assert (t.phase, t.reason) == (Phase.SEARCH, Reason.TARGET_LOST)
+    t.ticks(1.0, None, order=Order.HOLD).ticks(1.0, None)
+    assert t.phase is Phase.SEARCH
+    assert t.intent == Intent(blind=True)
+
+
+def test_a_search_that_is_held_goes_on_around_the_same_heading() -> None:
+    """However often a person halts it, it does not work its way round."""
+    t = Flown(MissionSettings(scan_half_rad=0.5, scan_radps=0.2))
+    t.ticks(0.6, None, heading_rad=1.0)
+    t.ticks(1.0, None, order=Order.HOLD, heading_rad=1.4).ticks(0.4, None, heading_rad=1.49)
+    assert t.intent.yaw_rate_radps == 0.2
+    assert t.tick(None, heading_rad=1.51).intent.yaw_rate_radps == -0.2
 
 
 numbers = st.floats(allow_nan=True, allow_infinity=True)
