@@ -161,6 +161,8 @@ class ModeOrder:
         before, self._heard = self._heard, heard
         in_mode = heard.mode == self._mode
         match self.phase:
+            case Phase.WARMING if not in_mode and before is not None and heard.mode != before.mode:
+                self._enter(Phase.SILENT, heard.t_ns, f"the pilot switched to {heard.mode}")
             case Phase.ASKING if in_mode and self._asked:
                 self.engaged_ns = heard.t_ns
                 self._was_armed = heard.armed

@@ -135,6 +135,31 @@ def test_a_pilot_who_switches_while_it_asks_is_obeyed() -> None:
     assert world.tick() == Step(Flow.NOTHING)
 
 
+@pytest.mark.parametrize("mode", ["ALTCTL", "AUTO.RTL"])
+def test_a_pilot_who_switches_before_it_asks_is_obeyed(mode: str) -> None:
+    """While the setpoints warm up, too: the mode is not asked for any more."""
+    world = World()
+    world.hear()
+    world.order.engage(world.now_ms * MS)
+    world.run(600)
+    world.mode = mode
+    world.hear()
+    assert set(world.run(5000)) == {Step(Flow.NOTHING)}
+    assert mode in world.order.reason
+    assert world.asked == []
+
+
+def test_a_pilot_who_takes_the_mode_before_it_asks_is_followed() -> None:
+    """The switch may stand for OFFBOARD itself."""
+    world = World()
+    world.hear()
+    world.order.engage(world.now_ms * MS)
+    world.run(600)
+    world.mode = "OFFBOARD"
+    world.run(2000)
+    assert world.order.phase is Phase.ENGAGED
+
+
 @pytest.mark.parametrize("mode", ["POSCTL", "AUTO.LAND", "AUTO.RTL", "MANUAL"])
 def test_a_switch_ends_it_at_once_and_for_good(mode: str) -> None:
     """From the heartbeat on: silence, whatever time passes, until a person engages."""
