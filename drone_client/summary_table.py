@@ -120,7 +120,7 @@ def _tunnel_rows(link: dict[str, Any]) -> dict[str, str]:
 def _warnings(summary: dict[str, Any]) -> dict[str, str]:
     """What a person has to know of a run, and would not see in its counts."""
     rows = {}
-    if summary["interrupted"]:
+    if summary.get("interrupted"):  # of a replay alone
         rows["INTERRUPTED"] = "the recording was not played to its end"
     same_name = []
     if n := summary["foreign_messages"]:

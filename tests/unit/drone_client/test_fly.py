@@ -25,6 +25,7 @@ from drone_client.link.memory import MemoryLink
 from drone_client.mission import Phase
 from drone_client.settings import ClientSettings
 from drone_client.source import Capture
+from drone_client.summary_table import summary_rows
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import FrameHeader, pose_of
@@ -188,6 +189,7 @@ def test_it_flies_to_contact_and_comes_back(tmp_path):
     assert scene.phases()[:2] == ["search", "align"]
     assert scene.phases()[-4:] == ["approach", "contact", "retreat", "done"]
     assert len(scene.person.asked) == 1
+    assert summary_rows(summary)["mission"] == "done (back), 1 approach"
     assert scene.vehicle.mode == "AUTO.LOITER"
     assert -0.03 < scene.vehicle.deepest_m < 0
     assert scene.vehicle.widest_touch_m < 0.02
