@@ -22,6 +22,7 @@ from rich.text import Text
 
 from drone_client.airframe import Airframe, load_airframe
 from drone_client.calibration.command import calibrate
+from drone_client.doctor.command import doctor
 from drone_client.errors import ClientError
 from drone_client.fly.command import fly
 from drone_client.ledger import LEDGER_NAME
@@ -245,6 +246,7 @@ def snap(
 
 
 app.command(no_args_is_help=True)(fly)
+app.command()(doctor)
 app.command(no_args_is_help=True)(calibrate)
 app.command(no_args_is_help=True)(record)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 
 SWITCH_INTERVAL_S = 5e-4
 """A thread that computes gives the interpreter up after so long when another waits. Python's own
@@ -27,3 +28,12 @@ def first_in_line() -> bool:
     except (AttributeError, OSError):
         return False
     return True
+
+
+def may_be_first() -> bool:
+    """Whether ``first_in_line`` would be granted; tried in a thread that ends."""
+    answers: list[bool] = []
+    asking = threading.Thread(target=lambda: answers.append(first_in_line()))
+    asking.start()
+    asking.join()
+    return answers == [True]
