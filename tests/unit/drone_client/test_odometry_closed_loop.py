@@ -264,3 +264,23 @@ def test_a_flight_without_a_jump_has_none():
         world = JumpyWorld(10 + seed).fly(120.0)
         assert world.phase is Phase.DONE
         assert world.told_jumps == []
+
+
+@pytest.mark.parametrize("away", [(0.3, 0, 0), (-0.3, 0, 0), (0, 0.3, 0)])
+@pytest.mark.parametrize("over_s", [0.3, 1.0])
+def test_a_jump_that_an_estimator_smooths_brakes_before_the_board(away, over_s):
+    """Seen within the glide, flown by for less than ten centimetres of it, touched right after."""
+    world = flown_to(Phase.APPROACH, 7)
+    near_m = world.tip[0]
+    ticks = round(over_s / 0.02)
+    for _ in range(ticks):
+        world.jump(pose(np.array(away) / ticks))
+        world.step()
+    assert world.told_jumps
+    assert Reason.ODOMETRY_JUMPED in world.reasons
+    assert world.tip[0] >= near_m - 0.1
+    world.fly(120.0)
+    assert world.phase is Phase.DONE
+    assert max(world.closing) <= 0.05
+    touches = np.array([t for t in world.tips if t[0] < 0.0])
+    assert np.hypot(touches[:, 1], touches[:, 2]).max() < 0.02
