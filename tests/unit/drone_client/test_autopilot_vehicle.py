@@ -62,6 +62,7 @@ def test_odometry_becomes_a_pose_on_our_axes() -> None:
     assert np.allclose(state.velocity_world, [0.2, 0.1, 0.3])
     assert vehicle.odometry is not None
     assert vehicle.odometry.resets == 5
+    assert state.pose_resets == 5
 
 
 def test_a_velocity_of_the_body_is_turned() -> None:

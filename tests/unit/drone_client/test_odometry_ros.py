@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from drone_client.autopilot.simulated import SimulatedAutopilot
 from drone_client.errors import LinkError
 from drone_client.odometry import OdometrySample, RangeSample
+from drone_client.odometry.choose import open_odometry
 from drone_client.odometry.feed import OdometryFeed
 from drone_client.odometry.jump import JumpReason
 from drone_client.odometry.ros_samples import SampleError, odometry_sample, range_sample
@@ -23,6 +24,7 @@ from drone_client.odometry.source import MemoryOdometry
 from drone_client.odometry.zenoh import RosOdometry
 from drone_client.ros.cdr_read import read_odometry, read_range
 from drone_client.ros.names import ODOMETRY, RANGE, Flavour, key
+from drone_client.settings import ClientSettings
 from rgbd_wire.clock import ManualClock
 from tests.service_process import free_port
 from tests.unit.drone_client.builders import MS, SECOND, eventually, pose, rotation_of
@@ -366,3 +368,14 @@ def test_an_outlier_of_the_lidar_is_not_given():
     counts = feed.counts()
     assert (counts["height_taken"], counts["height_outlier"]) == (3, 1)
     assert counts["odometry_given"] == 0
+
+
+def test_the_command_line_names_the_topics(endpoint):
+    """None named: no source, and no thread; an endpoint out of the settings otherwise."""
+    settings = ClientSettings(ros_connect=endpoint)
+    assert open_odometry(settings, ManualClock(NOW_NS)) is None
+    source = open_odometry(settings, ManualClock(NOW_NS), vio_topic="/vio/odometry")
+    assert source is not None
+    source.close()
+    with pytest.raises(LinkError, match="is no ROS 2 topic"):
+        open_odometry(settings, ManualClock(NOW_NS), ahead_topic="a b")
