@@ -215,7 +215,8 @@ def _entered(state: MissionState, move: Move, obs: Observation) -> MissionState:
             return replace(state, resume=back.get(before, before))
         case Phase.ABORT:
             never_ours = state.begun_ns is None
-            return replace(state, hands_off=state.hands_off or never_ours)
+            off = state.hands_off or never_ours or move.reason is Reason.CLOCK_STANDS
+            return replace(state, hands_off=off)
         case _:
             return state
 

@@ -18,9 +18,12 @@ from drone_client.mission import Order, Phase, Reason
 from tests.unit.drone_client.builders import SECOND, pose
 from tests.unit.drone_client.mission_world import (
     AIRFRAME,
+    DELAY_TICKS,
     FLYING,
+    LAG_S,
     TARGET_FROM_WORLD,
     TICK_NS,
+    TICK_S,
     World,
     controls,
 )
@@ -29,7 +32,6 @@ SETTINGS = controls(search_max_s=4.0, waiting_max_s=2.0)
 MOUTH_M = SETTINGS.filter.funnel.r_c_m
 STANDOFF_M = SETTINGS.mission.standoff_m - SETTINGS.mission.standoff_tolerance_m
 TOUCH_MPS = 0.05
-STILL_MPS = 1e-9
 TILTED_MPS = 0.002
 """What an axis that is known to half a degree makes of a sideways velocity."""
 BEFORE_THE_BOARD_M = 0.06
@@ -102,6 +104,11 @@ def assert_safe(world: World) -> None:
         assert mission.phase.final or not over
         assert intent.give_back or not mission.given_back
         over = mission.phase.final
+    ended = next((k for k, d in enumerate(world.decisions) if d.mission.phase.final), None)
+    if ended is not None:
+        closing_mps = (tips[ended - 1, 0] - tips[ended, 0]) / TICK_S
+        stop_m = max(0.0, closing_mps) * (LAG_S + DELAY_TICKS * TICK_S) + 0.002
+        assert tips[ended:, 0].min() >= tips[ended, 0] - stop_m
 
 
 def assert_backed_off(world: World) -> None:
@@ -199,11 +206,10 @@ def test_a_short_outage_only_holds() -> None:
 
 
 @pytest.mark.parametrize("stage", STAGES)
-@pytest.mark.parametrize("by", [pose((0.3, -0.2, 0.1), (0, 0, 0.3)), pose((-0.5, 0.1, 0))])
-def test_a_jump_of_the_odometry_stops_and_starts_from_afar(stage, by) -> None:
+def test_a_jump_of_the_odometry_stops_and_starts_from_afar(stage) -> None:
     """At once and blind, until the target was measured in the new world; then back off first."""
     world = flown_to(stage)
-    world.jump(by)
+    world.jump(pose((0.3, -0.2, 0.1), (0, 0, 0.3)))
     since = len(world.decisions)
     while world.jumped:
         world.step()
@@ -211,7 +217,7 @@ def test_a_jump_of_the_odometry_stops_and_starts_from_afar(stage, by) -> None:
         if world.jumped:
             assert world.decisions[-1].intent.blind
             assert speeds(world, len(world.decisions) - 1) == 0.0
-    world.fly(3.0)
+    world.fly(2.0)
     if stage != "brake":
         assert world.transitions[len(_kept(stage).transitions)].reason is Reason.ODOMETRY_JUMPED
     assert new_reasons(world, stage)[stage != "brake"] is Reason.BRAKED
@@ -286,7 +292,7 @@ def test_a_person_who_says_hold_is_obeyed_until_go(stage) -> None:
     world.fly(1.5)
     assert (world.phase, world.mission.reason) == (Phase.HOLD, Reason.ORDERED_HOLD)
     at = world.tip
-    world.fly(2.0)
+    world.fly(1.0)
     assert world.phase is Phase.HOLD
     assert np.linalg.norm(world.tip - at) < 0.01
     world.order = Order.GO

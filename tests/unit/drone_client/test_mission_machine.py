@@ -6,6 +6,7 @@ import math
 from collections import deque
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -134,6 +135,13 @@ def in_phase(phase: Phase, mission_settings: MissionSettings = SETTINGS) -> Flow
         return t
     assert phase is Phase.DONE
     return t.glide(0.6).ticks(0.4, seen(1.0))
+
+
+def test_the_manual_names_every_phase_and_every_reason() -> None:
+    """Whoever reads a reason in a ledger finds it there."""
+    manual = (Path(__file__).parents[3] / "docs" / "mission.md").read_text()
+    assert {p for p in Phase if p.name not in manual} == set()
+    assert {r for r in Reason if f"`{r}`" not in manual} == set()
 
 
 @pytest.mark.parametrize("phase", Phase)
@@ -430,7 +438,7 @@ def test_a_clock_that_does_not_go_on_ends_the_mission(phase, back_ns) -> None:
     t.now_ns = t.state.now_ns
     t.ticks(1.0, seen(0.3))
     assert t.phase.final
-    assert t.intent == Intent(STILL, give_back=True)
+    assert t.intent == Intent(STILL, blind=not phase.final, give_back=True)
 
 
 def test_a_clock_that_stumbles_changes_nothing() -> None:
