@@ -71,8 +71,9 @@ class JumpSettings:
     """So far from where the velocities lead to within about ``slide_s``: a jump that an estimator
     behind the source has smoothed."""
     slide_s: float = 0.5
-    gap_ns: int = 200_000_000
-    """After a longer silence nobody can tell any more whether it jumped."""
+    gap_ns: int = 300_000_000
+    """After a longer silence nobody can tell any more whether it jumped: what a robot can do by
+    itself in this time hides 19 cm."""
     late_ns: int = 100_000_000
     """A sample that is older than the newest by up to this came late and is left out; one that is
     older by more is of a source that has begun again."""

@@ -137,6 +137,15 @@ def test_an_accepted_look_is_the_edges_word_fused_with_it_and_widened_by_what_no
     assert got.estimate.seen_sigma_m == pytest.approx(fused.sigma_m, rel=1e-6)
 
 
+@pytest.mark.parametrize(("looked", "told"), [(0, 1), (1, 0)])
+def test_a_look_in_another_world_than_the_edges_word_is_not_believed(looked, told):
+    """The odometry jumped between the two: that they agree in numbers means nothing."""
+    m = replace(measured(world.WORLD_FROM_TARGET, world.T0_NS + 50 * MS), epoch=looked)
+    got = judge(m, replace(world.edge_estimate(), epoch=told), world.TARGET)
+    assert got.verdict is LookVerdict.OFF_PREDICTION
+    assert got.estimate is None
+
+
 @given(st.floats(0.03, 2), st.integers(0, 1 * SECOND), st.sampled_from(range(3)))
 def test_what_is_further_off_than_drift_explains_is_refused(off_m, dt_ns, axis):
     """3 cm within a second is more than 1 cm/s of drift and millimetres of noise."""
