@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import FrameType
 from typing import Annotated
 
 import typer
@@ -94,9 +97,9 @@ def fly(
 
     The drone hovers already, armed and taken off by its pilot, with the target in front of it.
     The client asks before it takes the vehicle (OFFBOARD), arms nothing by itself, and lets go at
-    once when the pilot switches the mode. Ctrl-C: the drone backs off and is given back; once
-    more: it is given back where it is. With --dry-run nothing is sent: carry the drone by hand and
-    look at the commands.
+    once when the pilot switches the mode. Ctrl-C, SIGTERM, a terminal that is closed: the drone
+    backs off and is given back; once more: it is given back where it is. With --dry-run nothing
+    is sent: carry the drone by hand and look at the commands.
 
     Exit code 0: touched and back. 3: the mission ended otherwise, or nobody agreed.
 
@@ -120,6 +123,10 @@ def fly(
     parts = flight_settings(settings)
     if tuning is not None:
         parts = replace(parts, control=load_tuning(tuning, parts.control))
+    if floor_m is not None and ceiling_m is not None and not floor_m < ceiling_m:
+        raise AirframeError(
+            f"--floor-m {floor_m:g} is not below --ceiling-m {ceiling_m:g}: both are heights"
+        )
     planes = list(body.keep_outs)
     try:
         planes += [] if floor_m is None else [body.floor(floor_m)]
@@ -132,6 +139,7 @@ def fly(
     cockpit = TerminalCockpit(console, ask=not yes)
     with ExitStack() as stack:
         stack.callback(cockpit.close)
+        stack.enter_context(_heeding_hang_up())
         live = open_live(source, clock, camera=camera)
         vehicle = open_autopilot(autopilot, clock)
         stack.callback(vehicle.close)
@@ -160,3 +168,21 @@ def fly(
         print_summary(summary)
     if summary["phase"] != Phase.DONE.value:
         raise typer.Exit(EXIT_NOT_DONE)
+
+
+@contextmanager
+def _heeding_hang_up() -> Iterator[None]:
+    """A terminal that is closed, or a lost ssh, is as good as a Ctrl-C; not under ``nohup``."""
+    before = signal.getsignal(signal.SIGHUP)
+    if before is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGHUP, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -48,22 +50,32 @@ class TerminalCockpit:
 
     def show(self, view: View) -> None:
         """Refresh the moving lines; nothing where nobody looks."""
-        if not self._console.is_terminal:
+        if self._console.quiet or not self._console.is_terminal:
             return
         if not self._started:
-            self._live.start()
             self._started = True
+            self._say(self._live.start)
         self._live.update(Group(*flight_lines(view)))
 
     def tell(self, sentence: str) -> None:
         """Print what has happened, above the moving lines."""
-        self._console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+        self._say(
+            partial(self._console.print, sentence, markup=False, highlight=False, soft_wrap=True)
+        )
 
     def close(self) -> None:
         """Leave the terminal as it was."""
         if self._started:
-            self._live.stop()
             self._started = False
+            self._say(self._live.stop)
+
+    def _say(self, say: Callable[[], None]) -> None:
+        """A terminal that has gone does not end a flight: nothing is shown any more."""
+        try:
+            say()
+        except (Exception, SystemExit):
+            # rich exits on a broken pipe, and its moving lines are not made to fail half way
+            self._console.quiet = True
 
 
 def vehicle_table(view: View) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import signal
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from drone_client.autopilot.simulated import SimulatedAutopilot
 from drone_client.cli import app
 from drone_client.errors import ClientError
 from drone_client.fly.cockpit import View
+from drone_client.fly.command import _heeding_hang_up
 from drone_client.fly.orders import Orders
 from drone_client.fly.terminal import TerminalCockpit, flight_lines
 from drone_client.mission import Order
@@ -30,6 +32,7 @@ AIRFRAME = str(Path(__file__).parents[3] / "examples" / "airframe.toml")
         (("--yes", "--tau-max-ms", "900"), "exceeds --age-max-ms"),
         (("--yes", "--tuning", "nowhere.toml"), "tuning file nowhere.toml: No such file"),
         (("--yes", "--floor-m", "1e9"), "offset_m = 1000000000.0 is not in"),
+        (("--yes", "--floor-m", "3", "--ceiling-m", "1"), "is not below --ceiling-m 1"),
         (("--yes", "--source", "webcam"), "webcam: no camera that is known"),
         (("--yes", "--autopilot", "tcp/here:1"), "'tcp/here:1' is no address; such as"),
     ],
@@ -88,6 +91,43 @@ def test_before_the_first_tick_there_is_a_line_to_show():
     first, second = flight_lines(View(None, None, Tally(), ()))
     assert first.plain.strip() == "waiting"
     assert second.plain.strip() == "no vehicle"
+
+
+@pytest.mark.parametrize("error", [BrokenPipeError, OSError])
+def test_a_terminal_that_has_gone_ends_no_flight(error: type[OSError]):
+    """Whatever the flight has to say then, nobody hears it, and nothing is raised."""
+
+    class Gone(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+        def write(self, text: str) -> int:
+            raise error("gone")
+
+    cockpit = TerminalCockpit(Console(file=Gone(), force_terminal=True), ask=False)
+    for _ in range(3):
+        cockpit.show(view())
+        cockpit.tell("the drone backs off")
+    cockpit.close()
+
+
+def test_a_terminal_that_is_closed_is_an_interrupt():
+    """As long as the flight lasts; afterwards the signal is what it was."""
+    before = signal.getsignal(signal.SIGHUP)
+    with pytest.raises(KeyboardInterrupt), _heeding_hang_up():
+        signal.raise_signal(signal.SIGHUP)
+    assert signal.getsignal(signal.SIGHUP) is before
+
+
+def test_under_nohup_a_closed_terminal_is_nothing():
+    """Whoever started it so wants it to go on."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with _heeding_hang_up():
+            signal.raise_signal(signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_an_abort_is_the_last_order():
