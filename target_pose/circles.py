@@ -49,7 +49,7 @@ MIN_PIXEL_SHARE = 0.7
 """Of the pixels on the board that must look as they should; the rest may be covered."""
 MIN_EXPLAINED = 0.6
 """Share of the picture's variance on the board that the pose has to explain; the rest is noise."""
-MAX_PRIOR_COST = 60.0
+MAX_PRIOR_COST = 40.0
 """Chi square of light, cut and tone past which they only make up for a wrong pose."""
 MIN_CONTRAST = 6.0
 """Of the print, in grey values."""
