@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import queue
 import threading
 import time
@@ -35,12 +36,17 @@ from drone_client.source import LiveSource
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
 
+logger = logging.getLogger(__name__)
 PICTURE_S: Final = 0.2
 """How often a camera without a picture is asked whether the run is over."""
 LOOK_S: Final = 0.1
 """How often the person in charge is shown how things are."""
 LEAVE_S: Final = 1.0
 """Time for the vehicle to take the mode that it is given back in."""
+STUCK_NS: Final = 2_000_000_000
+"""Without a decision for so long the control loop hangs, or fails at every tick."""
+CLOSE_S: Final = 5.0
+"""Time for a camera to close; its driver may hang."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +82,7 @@ class _Run:
         """The mission has given the vehicle back."""
         self.sentences: queue.SimpleQueue[str] = queue.SimpleQueue()
         self.decision: Decision | None = None
-        self.camera_error: SourceError | None = None
+        self.camera_error: Exception | None = None
         self._source = source
         self._vehicle = vehicle
         self._clock = clock
@@ -108,9 +114,21 @@ class _Run:
         self.flight.start()
         self._pump.start()
 
+    def is_stuck(self, since_ns: int) -> bool:
+        """Whether nothing was decided for too long, which no order could end.
+
+        Args:
+            since_ns: what was before does not count.
+        """
+        if self.decision is not None:
+            since_ns = max(since_ns, self.decision.command.t_ns)
+        return self._clock.now_ns() - since_ns > STUCK_NS
+
     def stop(self) -> None:
         self._stopping.set()
-        self._source.stop()
+        closing = threading.Thread(target=self._source.stop, name="camera closing", daemon=True)
+        closing.start()
+        closing.join(timeout=CLOSE_S)
         if self._pump.is_alive():
             self._pump.join(timeout=5.0)
 
@@ -129,8 +147,10 @@ class _Run:
                     world_from_camera=self.flight.camera_at(capture.t_source_ns),
                 )
                 self.flight.capture(frame, capture.name, brings_pose=False)
-        except SourceError as error:
+        except Exception as error:
             # What is known grows old now, and that ends the approach; nothing else has to.
+            if not isinstance(error, SourceError):
+                logger.exception("the camera's thread failed")
             self.camera_error = error
             self.sentences.put(f"no more pictures: {error}")
             self._ledger.event(self._clock.now_ns(), "camera_lost", error=str(error))
@@ -222,7 +242,9 @@ def fly(
             ledger.event(clock.now_ns(), "agreed", dry_run=options.dry_run)
             run.orders.give(Order.GO)
             vehicle.engage()
-            _watch(run, vehicle, link, cockpit)
+            if not _watch(run, vehicle, link, cockpit, clock.now_ns()):
+                run.sentences.put("the control loop is stuck: the vehicle is given back")
+                ledger.event(clock.now_ns(), "control_stuck")
     except KeyboardInterrupt:
         cockpit.tell("interrupted")
     finally:
@@ -246,8 +268,10 @@ def fly(
     return report(options.out, settings, run.flight, ledger, about, plot=options.plot)
 
 
-def _watch(run: _Run, vehicle: FlyingAutopilot, link: Link, cockpit: Cockpit) -> None:
-    """Until the mission has given the vehicle back."""
+def _watch(
+    run: _Run, vehicle: FlyingAutopilot, link: Link, cockpit: Cockpit, since_ns: int
+) -> bool:
+    """Until the mission has given the vehicle back; False: it never will, as nothing decides."""
     reason = ""
     while True:
         try:
@@ -257,7 +281,9 @@ def _watch(run: _Run, vehicle: FlyingAutopilot, link: Link, cockpit: Cockpit) ->
                     run.sentences.put(f"autopilot: {reason}")
                 _tell_all(run, cockpit)
                 cockpit.show(_view(run, vehicle, link))
-            return
+                if run.is_stuck(since_ns):
+                    return False
+            return True
         except KeyboardInterrupt:
             if run.orders.now is Order.ABORT:
                 raise

@@ -16,6 +16,7 @@ import pytest
 from drone_client.airframe import Airframe
 from drone_client.autopilot import VelocityCommand
 from drone_client.autopilot.simulated import SimulatedAutopilot
+from drone_client.control import Decision, decide
 from drone_client.errors import AutopilotError, LinkError, SourceError
 from drone_client.flight_settings import flight_settings
 from drone_client.fly.cockpit import View
@@ -283,6 +284,76 @@ def test_a_camera_that_breaks_ends_in_a_retreat(tmp_path):
     assert summary["phase"] == "abort"
     assert scene.vehicle.mode == "AUTO.LOITER"
     assert scene.vehicle.deepest_m > 0
+
+
+def test_a_camera_that_fails_in_a_way_nobody_thought_of_ends_in_a_retreat(tmp_path, caplog):
+    """Likewise: told, written down, and no approach any more."""
+    scene = Scene(tmp_path)
+    captures = scene.camera.captures
+
+    def failing(timeout_s: float) -> Iterator[Capture | None]:
+        for capture in captures(timeout_s):
+            if broken.is_set():
+                raise RuntimeError("frame didn't arrive within 5000")
+            yield capture
+
+    broken = threading.Event()
+    scene.camera.captures = failing
+    scene.when(Phase.APPROACH, broken.set)
+    summary = scene.fly()
+    assert summary["camera_error"] == "frame didn't arrive within 5000"
+    assert any("no more pictures: frame didn't" in sentence for sentence in scene.person.told)
+    assert any(e["event"] == "camera_lost" for e in scene.lines(EVENTS_NAME))
+    assert summary["phase"] == "abort"
+    assert scene.vehicle.deepest_m > 0
+    assert "the camera's thread failed" in caplog.text
+
+
+@pytest.mark.parametrize("way", ["fails", "hangs"])
+def test_a_control_loop_that_decides_nothing_any_more_ends_the_flight(tmp_path, way, monkeypatch):
+    """No order would reach the mission: the vehicle is given back, and told why."""
+    scene = Scene(tmp_path)
+    stuck, over = threading.Event(), threading.Event()
+
+    def decide_or_not(*args: Any) -> Decision:
+        if stuck.is_set():
+            if way == "fails":
+                raise RuntimeError("at every tick")
+            over.wait(60)
+        return decide(*args)
+
+    monkeypatch.setattr("drone_client.control_loop.decide", decide_or_not)
+    given_back: list[str] = []
+    release = scene.vehicle.release
+
+    def released() -> None:
+        release()
+        given_back.append(scene.vehicle.mode)
+        over.set()
+
+    monkeypatch.setattr(scene.vehicle, "release", released)
+    scene.when(Phase.APPROACH, stuck.set)
+    summary = scene.fly()
+    assert given_back[0] == "AUTO.LOITER"
+    assert summary["phase"] != "done"
+    assert "the control loop is stuck: the vehicle is given back" in scene.person.told
+    assert any(e["event"] == "control_stuck" for e in scene.lines(EVENTS_NAME))
+
+
+def test_a_camera_that_hangs_when_it_is_closed_does_not_keep_the_run(tmp_path, monkeypatch):
+    """The ledger is closed and the summary written all the same."""
+    monkeypatch.setattr("drone_client.fly.run.CLOSE_S", 0.05)
+    scene = Scene(tmp_path)
+    stop, over = scene.camera.stop, threading.Event()
+
+    def hanging() -> None:
+        stop()
+        over.wait(60)
+
+    scene.camera.stop = hanging
+    scene.person.answer = False
+    assert scene.fly()["agreed"] is False
+    over.set()
 
 
 def test_a_vehicle_that_does_not_know_where_it_is_is_not_taken(tmp_path):
