@@ -25,6 +25,8 @@ from drone_client.fly.run import fly as run_fly
 from drone_client.fly.terminal import TerminalCockpit
 from drone_client.link.choose import link_summary, open_link
 from drone_client.mission import Phase
+from drone_client.odometry.choose import open_odometry
+from drone_client.ros.names import Flavour
 from drone_client.ros.publish import open_ros, publish_accepted
 from drone_client.settings import about, load_settings
 from drone_client.source.choose import REALSENSE, open_live
@@ -82,6 +84,20 @@ def fly(
     ] = None,
     onboard_target: Annotated[str | None, typer.Option(help=about("onboard_target"))] = None,
     ros_topic: Annotated[str | None, typer.Option(help=about("ros_topic"))] = None,
+    ros_connect: Annotated[str | None, typer.Option(help=about("ros_connect"))] = None,
+    ros_flavour: Annotated[Flavour | None, typer.Option(help=about("ros_flavour"))] = None,
+    vio_topic: Annotated[
+        str | None,
+        typer.Option(help="ROS 2 topic of the robot's VIO (nav_msgs/Odometry), for the autopilot"),
+    ] = None,
+    lidar_topic: Annotated[
+        str | None,
+        typer.Option(help="ROS 2 topic of a lidar that looks down (sensor_msgs/Range)"),
+    ] = None,
+    ahead_topic: Annotated[
+        str | None,
+        typer.Option(help="ROS 2 topic of a lidar that looks ahead (sensor_msgs/Range)"),
+    ] = None,
     wait_for_vehicle_s: Annotated[
         float, typer.Option(min=0.1, max=600, help="how long to wait for the autopilot's pose")
     ] = 10.0,
@@ -118,6 +134,8 @@ def fly(
         onboard_fallback=onboard_fallback,
         onboard_target=onboard_target,
         ros_topic=ros_topic,
+        ros_connect=ros_connect,
+        ros_flavour=ros_flavour,
     )
     body = load_airframe(airframe)
     parts = flight_settings(settings)
@@ -147,6 +165,15 @@ def fly(
         stack.callback(link.close)
         for warning in link_summary(link).get("warnings", ()):
             console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
+        odometry = open_odometry(
+            settings,
+            clock,
+            vio_topic=vio_topic,
+            lidar_topic=lidar_topic,
+            ahead_topic=ahead_topic,
+        )
+        if odometry is not None:
+            stack.callback(odometry.close)
         ros = open_ros(settings, clock)
         if ros is not None:
             stack.callback(ros.close)
@@ -161,6 +188,7 @@ def fly(
             clock,
             cockpit,
             (lambda reception: None) if ros is None else partial(publish_accepted, ros),
+            odometry,
         )
     if as_json:
         print(json.dumps(summary, indent=2))
