@@ -24,10 +24,8 @@ from tests.unit.drone_client.builders import MS, SECOND, pose
 
 TICK_NS = 20 * MS
 TICK_S = 0.02
-FRAME_TICKS = 5
-"""A camera of 10 Hz"""
 ANSWER_TICKS = 6
-"""whose frames are answered after 120 ms."""
+"""A frame is answered after 120 ms."""
 LAG_S = 0.3
 DELAY_TICKS = 2
 MASS_KG = 3.3
@@ -56,6 +54,8 @@ class World:
     """Of the body, in the world."""
     settings: ControlSettings = field(default_factory=controls)
 
+    frame_ticks: int = 5
+    """A camera of 10 Hz."""
     link: bool = True
     """The worker answers."""
     sees: bool = True
@@ -180,7 +180,7 @@ class World:
 
     def _look(self, odometry: Pose) -> None:
         """A frame, if it is time for one; and the answers that are due."""
-        if self.tick % FRAME_TICKS == 0 and self.link and self.sees:
+        if self.tick % self.frame_ticks == 0 and self.link and self.sees:
             world_from_camera = self.world_from_body @ AIRFRAME.body_from_camera
             camera_from_target = world_from_camera.inverse() @ BOARD
             error = np.array(self.wrong_by) if self.wrong else np.zeros(3)
