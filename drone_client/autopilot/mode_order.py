@@ -246,7 +246,9 @@ class ModeOrder:
             return self._fall_silent(now_ns, "released")
         if self._overdue(now_ns) or not self._fresh(now_ns):
             return self._fall_silent(now_ns, "no answer to hold: left to the autopilot's failsafe")
-        if not self._may_ask(now_ns):
+        unsure = self._heard is None or self._heard.t_ns < self._since_ns
+        if unsure or not self._may_ask(now_ns):
+            # Since the last heartbeat a pilot may have switched: the question would undo it
             return Step(Flow.ZERO)
         if self._never or self._asked == self._settings.tries:
             return self._fall_silent(now_ns, "no answer to hold: left to the autopilot's failsafe")

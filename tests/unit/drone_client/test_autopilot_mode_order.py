@@ -231,6 +231,32 @@ def test_release_is_zero_then_hold_then_silence() -> None:
     assert world.order.reason == "released: AUTO.LOITER"
 
 
+def test_a_pilot_who_switches_as_it_is_given_back_is_not_undone() -> None:
+    """Since the last heartbeat he may have: zeros flow until the next one, and no question."""
+    world = World()
+    world.engage()
+    world.asked.clear()
+    world.tick()
+    world.order.release(world.now_ms * MS)
+    assert {world.tick() for _ in range(20)} == {Step(Flow.ZERO)}
+    world.mode = "POSCTL"
+    world.hear()
+    assert set(world.run(5000)) == {Step(Flow.NOTHING)}
+    assert world.asked == []
+
+
+def test_the_mode_that_holds_is_asked_for_after_a_heartbeat() -> None:
+    """One that says that the vehicle is still ours."""
+    world = World()
+    world.engage()
+    world.asked.clear()
+    world.tick()
+    world.order.release(world.now_ms * MS)
+    assert world.tick() == Step(Flow.ZERO)
+    world.hear()
+    assert world.tick() == Step(Flow.ZERO, Ask.HOLD)
+
+
 def test_release_without_an_answer_ends_too() -> None:
     """A vehicle that does not take HOLD is left to its failsafe."""
     world = World()
