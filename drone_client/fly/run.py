@@ -246,6 +246,7 @@ def fly(
                 run.sentences.put("the control loop is stuck: the vehicle is given back")
                 ledger.event(clock.now_ns(), "control_stuck")
     except KeyboardInterrupt:
+        vehicle.release()  # before a word: a terminal may take its time
         cockpit.tell("interrupted")
     finally:
         vehicle.release()
@@ -278,7 +279,7 @@ def _watch(
             while not run.over.wait(LOOK_S):
                 if vehicle.reason != reason:
                     reason = vehicle.reason
-                    run.sentences.put(f"autopilot: {reason}")
+                    run.sentences.put(f"autopilot: {reason or 'the vehicle flies our commands'}")
                 _tell_all(run, cockpit)
                 cockpit.show(_view(run, vehicle, link))
                 if run.is_stuck(since_ns):

@@ -258,9 +258,25 @@ def test_a_second_interrupt_gives_back_at_once(tmp_path):
     """The drone stands where it is, in the mode that holds."""
     scene = Scene(tmp_path)
 
-    scene.person.on_view = interrupt_always(Phase.APPROACH, Phase.ABORT)
+    def look(view: View) -> None:
+        decision = view.decision
+        if decision is None or decision.tip_target is None:
+            return
+        phase, near = decision.mission.phase, decision.tip_target[0] < 0.2
+        if phase is Phase.ABORT or (phase is Phase.APPROACH and near):
+            raise KeyboardInterrupt
+
+    scene.person.on_view = look
+    tell, modes = scene.person.tell, {}
+
+    def told(sentence: str) -> None:
+        tell(sentence)
+        modes[sentence] = scene.vehicle.mode
+
+    scene.person.tell = told
     before = time.monotonic()
     scene.fly()
+    assert modes["interrupted"] == "AUTO.LOITER"  # a terminal that hangs does not keep it
     assert time.monotonic() - before < 60
     assert scene.vehicle.mode == "AUTO.LOITER"
 
