@@ -200,12 +200,27 @@ class MavlinkAutopilot:
     def close(self) -> None:
         """Give the vehicle back if it is ours, end the threads, close the line."""
         self.release()
-        self._silent.wait(LEAVE_S)
-        self._stopping.set()
-        for thread in self._threads:
-            if thread is not threading.current_thread():
-                thread.join(JOIN_S)
-        self._line.close()
+        try:
+            self._wait_for_silence()
+        finally:
+            self._stopping.set()
+            for thread in self._threads:
+                if thread is not threading.current_thread():
+                    thread.join(JOIN_S)
+            self._line.close()
+
+    def _wait_for_silence(self) -> None:
+        """Until the vehicle is given back, for a while; an interrupt comes after it."""
+        give_up_ns = self._clock.now_ns() + round(LEAVE_S * 1e9)
+        interrupt = None
+        while (left_ns := give_up_ns - self._clock.now_ns()) > 0:
+            try:
+                self._silent.wait(left_ns / 1e9)
+                break
+            except KeyboardInterrupt as error:
+                interrupt = error
+        if interrupt is not None:
+            raise interrupt
 
     # --- the pacer -------------------------------------------------------------------------------
 

@@ -103,6 +103,25 @@ def test_offboard_is_entered_flown_and_left_in_order(pair: Pair) -> None:
     assert left["violations"] == []
 
 
+def test_an_interrupt_while_it_closes_comes_after_the_vehicle(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C again and again: HOLD is asked for and taken, and only then it is felt."""
+    pair.take_off()
+    wait, interrupts = pair.autopilot._silent.wait, iter(range(3))
+
+    def interrupted(timeout_s: float) -> bool:
+        for _ in interrupts:
+            raise KeyboardInterrupt
+        return wait(timeout_s)
+
+    monkeypatch.setattr(pair.autopilot._silent, "wait", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        pair.autopilot.close()
+    report = pair.peer.report()
+    assert (report["mode"], report["failsafe"]) == ("AUTO.LOITER", False)
+
+
 def test_a_refusal_is_asked_again_and_a_lost_answer_does_no_harm() -> None:
     """Two refusals and a lost COMMAND_ACK later the vehicle is ours; the questions are few."""
     pair = Pair("--refuse", "2", "--lose-acks", "4")
