@@ -26,7 +26,6 @@ from tests.unit.drone_client.mission_world import (
     ANSWER_TICKS,
     BOARD,
     FLYING,
-    FRAME_TICKS,
     SIGMA_M,
     SIGMA_PER_M,
     SIGMA_RAD,
@@ -115,7 +114,7 @@ class JumpyWorld(World):
         self.tips.append(self.tip)
 
     def _send(self) -> None:
-        if self.tick % FRAME_TICKS or not (self.link and self.sees):
+        if self.tick % self.frame_ticks or not (self.link and self.sees):
             return
         self.sequence += 1
         seen = (self.world_from_body @ AIRFRAME.body_from_camera).inverse() @ BOARD
