@@ -1,8 +1,7 @@
 """VIO and lidars of a robot that runs ROS 2, over Zenoh: nothing of ROS is needed here.
 
 A session of its own, as a client of one router, bridge or peer. Each topic has one slot with its
-newest sample; what is no message, or no sample, is counted by its reason and changes nothing. The
-session is opened on a thread of its own and opens again until somebody answers.
+newest sample; what is no message, or no sample, is counted by its reason and changes nothing.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from drone_client.odometry import OdometrySample, RangeSample
 from drone_client.odometry.ros_samples import SampleError, odometry_sample, range_sample
 from drone_client.ros.cdr_read import MAX_MESSAGE_BYTES, read_odometry, read_range
 from drone_client.ros.names import ODOMETRY, RANGE, Flavour, check_topic, heard_key
-from drone_client.ros.zenoh import RETRY_S, check_way, close_client, open_client
+from drone_client.ros.zenoh_client import ClientOpener, check_way
 from rgbd_wire.clock import Clock
 
 OnMessage = Callable[[bytes, int, int], None]
@@ -77,22 +76,18 @@ class RosOdometry:
         """Samples by what they are of: odometry, height, ahead."""
         self.refused: Counter[str] = Counter()
         """Messages that were none, by reason."""
-        self._endpoints = endpoints
         self._clock = clock
         self._unix_ns = unix_ns
         self._lock = threading.Lock()
         self._odometry: OdometrySample | None = None
         self._height: RangeSample | None = None
         self._ahead: RangeSample | None = None
-        self._session: zenoh.Session | None = None
-        self._closing = threading.Event()
-        self._opener = threading.Thread(target=self._open, name="ros-odometry-open", daemon=True)
-        self._opener.start()
+        self._opener = ClientOpener(endpoints, self._prepare, "ros-odometry-open")
 
     @property
     def connected(self) -> bool:
         """Whether the session has been opened."""
-        return self._session is not None
+        return self._opener.connected
 
     def odometry(self) -> OdometrySample | None:
         """The newest of the VIO; None: none yet."""
@@ -111,36 +106,12 @@ class RosOdometry:
 
     def close(self) -> None:
         """Stop connecting, and close the session."""
-        with self._lock:
-            self._closing.set()
-            session, self._session = self._session, None
-        if session is not None:
-            close_client(session)
-        self._opener.join(timeout=RETRY_S)
+        self._opener.close()
 
-    def _open(self) -> None:
-        while not self._closing.is_set():
-            try:
-                session = self._opened()
-            except zenoh.ZError:
-                self._closing.wait(RETRY_S)
-                continue
-            with self._lock:
-                if not self._closing.is_set():
-                    self._session = session
-                    return
-            close_client(session)
-
-    def _opened(self) -> zenoh.Session:
-        session = open_client(self._endpoints)
-        try:
-            for key, take in self._heard:
-                callback = zenoh.handlers.Callback(self._on_sample(take), indirect=False)
-                session.declare_subscriber(key, callback)
-        except zenoh.ZError:
-            close_client(session)
-            raise
-        return session
+    def _prepare(self, session: zenoh.Session) -> None:
+        for key, take in self._heard:
+            callback = zenoh.handlers.Callback(self._on_sample(take), indirect=False)
+            session.declare_subscriber(key, callback)
 
     def _on_sample(self, take: OnMessage) -> Callable[[zenoh.Sample], None]:
         def on_sample(sample: zenoh.Sample) -> None:
