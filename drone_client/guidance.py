@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from drone_client.bounds import check_bounds
 from drone_client.cbf.limits import closing_limit_mps
 from drone_client.cbf.vector import ZERO, Vec3, cross, dot, moved, norm, scaled
 from rgbd_wire.geometry import Pose
@@ -77,10 +78,7 @@ class GuidanceSettings:
     """Time in which the vehicle follows a velocity: what the gains must be slow for."""
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"GuidanceSettings.{name} = {value} is not in [{low:g}, {high:g}]")
+        check_bounds(self, _BOUNDS)
         if self.k_x > self.k_lateral:
             raise ValueError(
                 f"GuidanceSettings.k_x = {self.k_x} must not exceed k_lateral = {self.k_lateral}: "

@@ -12,6 +12,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from drone_client.bounds import check_bounds
 from rgbd_wire.geometry import (
     Array,
     Pose,
@@ -57,10 +58,7 @@ class OdometryBudget:
     """How fast the odometry's world moves under the target."""
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _BUDGET_BOUNDS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"OdometryBudget.{name} = {value} is not in [{low:g}, {high:g}]")
+        check_bounds(self, _BUDGET_BOUNDS)
 
 
 USUAL_BUDGET = OdometryBudget()

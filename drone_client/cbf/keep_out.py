@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple, TypeAlias
 
+from drone_client.bounds import check_bounds
 from drone_client.cbf.half_space import HalfSpace
 from drone_client.cbf.vector import ZERO, Vec3, cross, dot, is_bounded, moved, norm, scaled
 
@@ -108,12 +109,7 @@ class KeepOut:
                 f"KeepOut {self.name!r} has {len(self.parts)} parts, not 1 to {MAX_PARTS}"
             )
         _check_unit(f"KeepOut {self.name!r}: normal", self.normal)
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(
-                    f"KeepOut {self.name!r}: {name} = {value} is not in [{low:g}, {high:g}]"
-                )
+        check_bounds(self, _BOUNDS, f"KeepOut {self.name!r}: ")
 
 
 class Stance(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Self
 
+from drone_client.bounds import check_bounds
 from drone_client.cbf.funnel import Funnel
 from drone_client.cbf.variants import Barrier, CuspFunnel, Variant, paper_funnel
 
@@ -102,10 +103,7 @@ class FilterSettings:
     """Must be True for any other variant than SMOOTH; for comparison plots only."""
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"FilterSettings.{name} = {value} is not in [{low:g}, {high:g}]")
+        check_bounds(self, _BOUNDS)
         for smaller, larger in (
             ("alpha_near", "alpha_far"),
             ("near_m", "far_m"),

@@ -11,6 +11,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from drone_client.bounds import check_bounds
+
 _BOUNDS: dict[str, tuple[float, float]] = {
     "mass_kg": (0.005, 2.0),
     "damping_nspm": (0.1, 200.0),
@@ -48,10 +50,7 @@ class Arm:
     """How far it can give way before it is at its end."""
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"Arm.{name} = {value} is not in [{low:g}, {high:g}]")
+        check_bounds(self, _BOUNDS)
 
     @property
     def natural_radps(self) -> float:

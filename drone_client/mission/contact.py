@@ -18,6 +18,7 @@ from enum import StrEnum
 from statistics import median
 from typing import NamedTuple
 
+from drone_client.bounds import check_bounds
 from drone_client.cbf.vector import Vec3, dot, is_bounded, moved
 from drone_client.mission.arm import Arm
 
@@ -84,10 +85,7 @@ class ContactSettings:
     """So far back within the window, and the tip is off the board."""
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"ContactSettings.{name} = {value} is not in [{low:g}, {high:g}]")
+        check_bounds(self, _BOUNDS)
         if not self.stall_share < self.free_share:
             raise ValueError(
                 f"ContactSettings.stall_share = {self.stall_share} must be less than free_share = "

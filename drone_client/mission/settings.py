@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from drone_client.bounds import check_bounds
 from drone_client.mission.contact import ContactSettings
 
 _BOUNDS: dict[str, tuple[float, float]] = {
@@ -115,10 +116,7 @@ class MissionSettings:
     """From the first command that the vehicle takes."""
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"MissionSettings.{name} = {value} is not in [{low:g}, {high:g}]")
+        check_bounds(self, _BOUNDS)
         for smaller, larger in (
             ("standoff_tolerance_m", "standoff_m"),
             ("brake_s", "brake_max_s"),

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drone_client.bounds import check_bounds
 from rgbd_wire.geometry import Array, Pose, vector_from_rotation
 
 NS_PER_S = 1_000_000_000
@@ -79,10 +80,7 @@ class JumpSettings:
     older by more is of a source that has begun again."""
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"JumpSettings.{name} = {value} is not in [{low:g}, {high:g}]")
+        check_bounds(self, _BOUNDS)
 
 
 class JumpReason(StrEnum):

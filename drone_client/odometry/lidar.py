@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from statistics import median_low
 
+from drone_client.bounds import check_bounds
 from drone_client.odometry import RangeSample
 from rgbd_wire.geometry import Pose
 
@@ -50,10 +51,7 @@ class LidarSettings:
     """A beam that is slanted by more looks at something else."""
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"LidarSettings.{name} = {value} is not in [{low:g}, {high:g}]")
+        check_bounds(self, _BOUNDS)
         if self.window % 2 == 0:
             raise ValueError(f"LidarSettings.window = {self.window} is not odd: a median needs it")
 
