@@ -1,0 +1,27 @@
+"""The errors of ``contact_sim``.
+
+::
+
+    SimulatorError
+    ├── WorldError       a world, a board or a seed that there is not
+    ├── RenderError      no OpenGL that could draw without a screen, or a drawing that failed
+    └── VehicleError     a drone that cannot be built, or a command that it cannot take
+"""
+
+from __future__ import annotations
+
+
+class SimulatorError(Exception):
+    """Root of this package's errors."""
+
+
+class WorldError(SimulatorError):
+    """A world was asked for by a name or a number that makes none."""
+
+
+class RenderError(SimulatorError):
+    """Nothing here draws without a screen, or what does was used wrongly."""
+
+
+class VehicleError(SimulatorError):
+    """A drone cannot be built as asked, or a command is none that it could follow."""
