@@ -1,7 +1,7 @@
 """One seed, many independent streams of random numbers.
 
-Every part asks for a stream of its own by name, so that what one part draws never moves what another
-one gets: the same seed is the same world, whichever sensors are on.
+Every part asks for a stream of its own by name, so that what one part draws never moves what
+another one gets: the same seed is the same world, whichever sensors are on.
 """
 
 from __future__ import annotations

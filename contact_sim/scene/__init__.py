@@ -76,7 +76,7 @@ class Scene:
     world_from_target: Pose
     """Of the board; its front is the plane x = 0."""
     world_from_body: Pose
-    """Where the drone hovers at the start: 2 to 3.5 m before the board, with nothing in between. Its
+    """Where the drone hovers at the start: 2 to 3.5 m before the board, nothing in between. Its
     heading may be off by so much that the board is not in view."""
     floor_m: float
     """Height of the floor in ``world`` where it is highest near the way of the drone."""
