@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +19,18 @@ WAIT_S = 5.0
 MIN_HZ, GOOD_HZ = 5.0, 12.0
 MAX_AGE_MS = 100.0
 DARK, BRIGHT = 25.0, 235.0
+MANY_DROPPED, MANY_UNPAIRED = 0.02, 0.05
+"""Of all pictures: more, and the cable or the machine cannot keep up."""
+UNPAIRED = ("no_partner", "too_old", "out_of_order", "duplicate")
+BROKEN = {
+    "unreadable": "not to be read",
+    "backwards": "older than the one before",
+    "odd_stamps": "with stamps that cannot be",
+    "clock_jumps": "jumps of its clock",
+    "reconnects": "times lost and found again",
+}
+"""What never happens, or hardly ever, with a camera that is well; the last two blind the drone."""
+BLINDING = ("clock_jumps", "reconnects")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +49,7 @@ class CameraFacts:
     grey: float = 0.0
     """Mean of the last picture."""
     counts: dict[str, int] = field(default_factory=dict)
+    """What became of its pictures, by reason (``LiveSource.counts``)."""
 
 
 def collect_camera(source: LiveSource, clock: Clock) -> CameraFacts:
@@ -127,6 +140,50 @@ def judge_camera_run(facts: CameraFacts) -> Sequence[Check]:
                 Finding.WARNING if many else Finding.OK,
                 f"with {f.with_depth:.0%} of the pictures, {f.holes:.0%} holes",
                 "look at a textured wall 1 to 2 m away; is the emitter on?",
+            )
+        )
+    return [*checks, *_losses(f.counts)]
+
+
+def _losses(counts: Mapping[str, int]) -> list[Check]:
+    """What the camera's own counts say; nothing of a source that does not count."""
+    checks = []
+    pictures = sum(counts.get(f"{stream}_frames", 0) for stream in ("color", "depth"))
+    dropped = sum(counts.get(f"{stream}_dropped", 0) for stream in ("color", "depth"))
+    if pictures:
+        share = dropped / (pictures + dropped)
+        checks.append(
+            judged(
+                AREA,
+                "drops",
+                Finding.WARNING if share > MANY_DROPPED else Finding.OK,
+                f"{dropped} of {pictures + dropped} pictures never came",
+                "a USB 3 port and cable of its own, a smaller picture or a lower rate",
+            )
+        )
+    unpaired = sum(counts.get(f"{s}_{why}", 0) for s in ("color", "depth") for why in UNPAIRED)
+    if pairs := counts.get("paired", 0):
+        share = unpaired / (2 * pairs + unpaired)
+        checks.append(
+            judged(
+                AREA,
+                "pairs",
+                Finding.WARNING if share > MANY_UNPAIRED else Finding.OK,
+                f"{pairs} pairs, {unpaired} pictures without a partner",
+                "colour and depth do not run at one rate: fix the exposure, switch priority of "
+                "exposure over rate off",
+            )
+        )
+    broken = [f"{counts[key]} {words}" for key, words in BROKEN.items() if counts.get(key)]
+    if broken:
+        checks.append(
+            judged(
+                AREA,
+                "stream",
+                Finding.FAULT if any(counts.get(key) for key in BLINDING) else Finding.WARNING,
+                ", ".join(broken),
+                "cable, hub, power or firmware: such pictures are dropped, and the drone is blind "
+                "meanwhile",
             )
         )
     return checks

@@ -18,6 +18,8 @@ from rgbd_wire.camera import CameraIntrinsics, load_camera
 from rgbd_wire.errors import WireError
 from rgbd_wire.tls_files import tls_files
 from rgbd_wire.tunnel.keys import load_key
+from target_pose.errors import TargetError
+from target_pose.target import load_round_target
 
 AREA = "files"
 VIEW_DEG = (30.0, 130.0)
@@ -37,6 +39,7 @@ def check_files(
             lambda p: _tuned(p, settings),
         ),
         _checked("certificates", settings.tls, "--tls", _certificates),
+        _target(settings),
         _checked(
             "tunnel key",
             settings.key_file,
@@ -100,6 +103,17 @@ def judge_airframe(airframe: Airframe) -> Check:
     )
 
 
+def _target(settings: ClientSettings) -> Check:
+    """Of the drone's own eyes; without them the client knows no target."""
+    if not settings.onboard_fallback:
+        return unchecked(AREA, "target", "no --onboard-fallback: the drone has no eyes of its own")
+    try:
+        target = load_round_target(settings.onboard_target)
+    except TargetError as error:
+        return _wrong("target", error)
+    return ok(AREA, "target", f"{target.name}, {1e3 * target.board_side_m:.0f} mm")
+
+
 def _tuned(path: Path, settings: ClientSettings) -> Check:
     load_tuning(path, flight_settings(settings).control)
     return ok(AREA, "tuning", f"{path}: every number is within its bounds")
@@ -126,7 +140,7 @@ def _checked(name: str, path: Path | None, option: str, check: Callable[[Path], 
         return unchecked(AREA, name, f"no {option} given")
     try:
         return check(path)
-    except (ClientError, WireError) as error:
+    except (ClientError, WireError, TargetError) as error:
         return _wrong(name, error)
 
 

@@ -20,6 +20,11 @@ BUFFER_BYTES = 1_000_000
 """A whole frame and its parity wait there, at most."""
 
 
+SLOW_WRITE_MS = 250.0
+"""No line is lost by it, for minutes of them wait in memory; but what waits when the power goes is,
+and a disk that takes longer is worn out, full, or shared with something that writes a lot."""
+
+
 @dataclass(frozen=True, slots=True)
 class MachineFacts:
     """What was measured; None: this system does not tell."""
@@ -116,14 +121,23 @@ def _disk(f: MachineFacts) -> list[Check]:
             )
         ]
     enough = f.free_bytes >= MIN_FREE_BYTES
+    slow = f.write_ms > SLOW_WRITE_MS
     return [
         judged(
             AREA,
             "disk",
             Finding.OK if enough else Finding.FAULT,
-            f"{f.free_bytes / 1e9:.1f} GB free, a forced write takes {f.write_ms:.0f} ms",
+            f"{f.free_bytes / 1e9:.1f} GB free",
             f"make room for the ledger: at least {MIN_FREE_BYTES / 1e9:g} GB",
-        )
+        ),
+        judged(
+            AREA,
+            "disk speed",
+            Finding.WARNING if slow else Finding.OK,
+            f"a forced write of 1 kB takes up to {f.write_ms:.0f} ms",
+            f"over {SLOW_WRITE_MS:g} ms: another disk or card, or end what writes beside us; the "
+            "newest lines of the ledger are lost when the power goes",
+        ),
     ]
 
 

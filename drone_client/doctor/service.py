@@ -7,10 +7,14 @@ import statistics
 import threading
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
 
 from drone_client.doctor.finding import Check, Finding, judged, ok, unchecked
+from drone_client.doctor.path import PathFacts, judge_path
 from drone_client.errors import LinkError, SourceError
 from drone_client.link import Link
 from drone_client.link.diagnosis import diagnose
@@ -22,11 +26,15 @@ from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.errors import DecodeError
 from rgbd_wire.messages import Status, decode_status
 from rgbd_wire.probe import decode_probe, seal_probe
+from rgbd_wire.tls_files import tls_files
+from target_pose.target import Target
 
 AREA = "service"
 PROBED_S = 2.5
 """So long the workers are probed; a status comes once a second."""
 MANY_LOST = 0.1
+GEOMETRY = ("board_side_m", "board_shade", "discs", "level_m", "points")
+"""What of a target decides where it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +58,12 @@ class ServiceFacts:
     """Of another version, or none of ours."""
     http: dict[str, str] = field(default_factory=dict)
     """By path: what it said, or why it did not."""
+    target: Mapping[str, Any] | None = None
+    """What the worker behind the HTTP address looks for; None: it was not asked, or did not say."""
+    paths: tuple[PathFacts, ...] = ()
+    """Of the UDP tunnel's endpoints."""
+    link_warnings: tuple[str, ...] = ()
+    """What the link itself warns of."""
 
 
 class _Listener:
@@ -98,7 +112,8 @@ def collect_service(
     if not link.workers():
         why = "is edge-service running there with EDGE_UDP_LISTEN, and does it have our key?"
         if not settings.uses_tunnel:
-            why = "; ".join(diagnose(endpoint) for endpoint in settings.endpoints[:2])
+            tls = None if settings.tls is None else tls_files(settings.tls)
+            why = "; ".join(diagnose(endpoint, tls) for endpoint in settings.endpoints[:2])
         return ServiceFacts(why=why, bad_messages=listener.bad)
     sent: Counter[str] = Counter()
     end = time.monotonic() + PROBED_S
@@ -130,13 +145,34 @@ def collect_http(url: str, timeout_s: float = 3.0) -> dict[str, str]:
     return said
 
 
-def judge_service(facts: ServiceFacts, settings: ClientSettings) -> Sequence[Check]:
-    """All checks of the service."""
+def collect_target(url: str, timeout_s: float = 3.0) -> Mapping[str, Any] | None:
+    """What the service's HTTP says that it looks for; None: it does not say."""
+    try:
+        target = get(url, "/v1/model", timeout_s).get("target")
+    except (LinkError, SourceError):  # /readyz tells why
+        return None
+    return target if isinstance(target, dict) else None
+
+
+def judge_service(
+    facts: ServiceFacts, settings: ClientSettings, own: Target | None = None
+) -> Sequence[Check]:
+    """All checks of the service.
+
+    Args:
+        facts: what answered.
+        settings: the client's.
+        own: the target that the drone's own eyes look for; None: it has none.
+    """
+    around = [
+        *_link(facts),
+        *(judge_path(path) for path in facts.paths),
+        *_http(facts),
+        *_target(facts.target, own),
+    ]
     if not facts.workers:
-        return [
-            judged(AREA, "workers", Finding.FAULT, f"none at {settings.connect}", facts.why),
-            *_http(facts),
-        ]
+        none = judged(AREA, "workers", Finding.FAULT, f"none at {settings.connect}", facts.why)
+        return [none, *around]
     names = ", ".join(w.name for w in facts.workers)
     one = len(facts.workers) == 1
     checks = [
@@ -171,7 +207,7 @@ def judge_service(facts: ServiceFacts, settings: ClientSettings) -> Sequence[Che
                 "client and service are of different versions: update both",
             )
         )
-    return [*checks, *_http(facts)]
+    return [*checks, *around]
 
 
 def _way(worker: WorkerFacts, tau_max_ms: float) -> Check:
@@ -226,4 +262,44 @@ def _http(facts: ServiceFacts) -> list[Check]:
         if said == "ok"
         else judged(AREA, path, Finding.FAULT, said, "see the service's log")
         for path, said in facts.http.items()
+    ]
+
+
+def _link(facts: ServiceFacts) -> list[Check]:
+    if not facts.link_warnings:
+        return []
+    return [
+        judged(
+            AREA,
+            "link",
+            Finding.WARNING,
+            "; ".join(facts.link_warnings),
+            "it matters on a radio; on a wire that loses nothing it does not",
+        )
+    ]
+
+
+def _target(said: Mapping[str, Any] | None, own: Target | None) -> list[Check]:
+    """Whether both ends look for one thing: the sizes, too, for they are the distances."""
+    if said is None:
+        return []
+    name = str(said.get("name"))[:80]
+    if own is None:
+        return [ok(AREA, "target", f"the service looks for {name}")]
+    mine = msgspec.json.decode(msgspec.json.encode(own))  # as HTTP would say it
+    other = [key for key, value in mine.items() if key in GEOMETRY and said.get(key) != value]
+    if name == own.name and not other:
+        return [ok(AREA, "target", f"both look for {name}")]
+    found = f"the service looks for {name}, the drone's own eyes for {own.name}"
+    if name == own.name:
+        found = f"{name} at both ends, but they differ in {', '.join(other)}"
+    return [
+        judged(
+            AREA,
+            "target",
+            Finding.FAULT,
+            found,
+            "give both the same file (EDGE_TARGET, --onboard-target): of another size it is at "
+            "another distance",
+        )
     ]

@@ -1,16 +1,21 @@
-"""The vehicle: heartbeat, pose, clock, battery, frames, parameters."""
+"""The vehicle: heartbeat, pose, heading, height, clock, battery, frames, parameters."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 
 from drone_client.autopilot import VehicleState
 from drone_client.autopilot.mavlink import MavlinkAutopilot
 from drone_client.autopilot.parameters import Parameter, packaged_parameters
 from drone_client.doctor.finding import Check, Finding, judged, ok, unchecked
-from drone_client.odometry import OdometrySample
+from drone_client.odometry import OdometrySample, RangeSample
+from drone_client.odometry.feed import MAX_RESETS
+from drone_client.odometry.lidar import Lidar
+from drone_client.odometry.source import OdometrySource
 from rgbd_wire.clock import Clock
 
 AREA = "vehicle"
@@ -25,6 +30,11 @@ BATTERY_MIN, BATTERY_LOW = 0.2, 0.4
 OFFSET_BOUND_MS = 2.0
 LEVEL_MIN = 0.8
 """Cosine of the body's z with the world's up: a drone that stands or hovers is level."""
+HEADING_GOOD_RAD, HEADING_MAX_RAD = 0.1, 0.5
+"""Standard deviation of the heading: at 3 m 0.1 rad are 30 cm; a filter that knows none says 1."""
+HEIGHT_GOOD_M, HEIGHT_MAX_M = 0.3, 1.0
+"""Between the estimator's height and the lidar's: the lidar's own place on the drone and a floor
+that is not flat; and more than these can explain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,10 +53,24 @@ class VehicleFacts:
     """Of the offset between the two clocks; None: not known yet."""
     parameters: Mapping[str, float | int] | None = None
     """None: not asked for, it is no PX4."""
+    height_m: float | None = None
+    """Of the estimate, while the lidar measured; None: there is no lidar, or it measured nothing.
+    """
+    lidar_m: float | None = None
+    """By the lidar that looks down, upright."""
 
 
-def collect_vehicle(vehicle: MavlinkAutopilot, clock: Clock, is_px4: bool) -> VehicleFacts:
-    """Listen for some seconds, and ask for the parameters; commands nothing."""
+def collect_vehicle(
+    vehicle: MavlinkAutopilot, clock: Clock, is_px4: bool, odometry: OdometrySource | None = None
+) -> VehicleFacts:
+    """Listen for some seconds, and ask for the parameters; commands nothing.
+
+    Args:
+        vehicle: its line is open.
+        clock: the drone's.
+        is_px4: its parameters can be compared.
+        odometry: has a lidar that looks down; None: there is none.
+    """
     give_up = time.monotonic() + HEARD_S
     while vehicle.state() is None:
         if time.monotonic() > give_up:
@@ -54,6 +78,7 @@ def collect_vehicle(vehicle: MavlinkAutopilot, clock: Clock, is_px4: bool) -> Ve
         time.sleep(0.02)
     stamps: list[int] = []
     oldest_ns, resets, first = 0, 0, vehicle.odometry()
+    heights = _Heights()
     end = time.monotonic() + WATCHED_S
     while time.monotonic() < end:
         state = vehicle.state()
@@ -61,10 +86,12 @@ def collect_vehicle(vehicle: MavlinkAutopilot, clock: Clock, is_px4: bool) -> Ve
             if not stamps or state.t_pose_ns != stamps[-1]:
                 stamps.append(state.t_pose_ns)
             oldest_ns = max(oldest_ns, clock.now_ns() - state.t_pose_ns)
+            if odometry is not None:
+                heights.see(odometry.height(), state, clock.now_ns())
         time.sleep(0.004)
     newest = vehicle.odometry()
     if first is not None and newest is not None:
-        resets = newest.resets - first.resets
+        resets = (newest.resets - first.resets) % MAX_RESETS
     offset = vehicle.clock_offset_ns()
     values = None
     if is_px4:
@@ -77,7 +104,36 @@ def collect_vehicle(vehicle: MavlinkAutopilot, clock: Clock, is_px4: bool) -> Ve
         resets,
         None if offset is None else offset[1] / 1e6,
         values,
+        heights.estimated_m,
+        heights.measured_m,
     )
+
+
+class _Heights:
+    """Pairs of the estimator's height and the lidar's, of the same moments."""
+
+    def __init__(self) -> None:
+        self._lidar = Lidar()
+        self._sample: RangeSample | None = None
+        self._pairs: list[tuple[float, float]] = []
+
+    @property
+    def estimated_m(self) -> float | None:
+        return median(z for z, _ in self._pairs) if self._pairs else None
+
+    @property
+    def measured_m(self) -> float | None:
+        return median(upright for _, upright in self._pairs) if self._pairs else None
+
+    def see(self, sample: RangeSample | None, state: VehicleState, now_ns: int) -> None:
+        if sample is None or sample is self._sample or state.world_from_body is None:
+            return
+        self._sample = sample
+        if self._lidar.see(sample) is None:
+            return
+        upright_m = self._lidar.upright_m(now_ns, state.world_from_body)
+        if upright_m is not None:
+            self._pairs.append((float(state.world_from_body.translation[2]), upright_m))
 
 
 def judge_vehicle(facts: VehicleFacts, address: str) -> Sequence[Check]:
@@ -95,14 +151,28 @@ def judge_vehicle(facts: VehicleFacts, address: str) -> Sequence[Check]:
             )
         ]
     return [
-        ok(AREA, "heartbeat", f"{state.mode}, {'armed' if state.armed else 'disarmed'}"),
+        ok(AREA, "heartbeat", state.mode),
+        _arming(state),
         *_pose(facts, state),
         _frames(state),
+        _heading(facts),
+        _height(facts),
         _clock(facts),
         _battery(state),
         *([_failsafe(state)] if state.failsafe else []),
         *_parameters(facts, packaged_parameters()),
     ]
+
+
+def _arming(state: VehicleState) -> Check:
+    where = {None: "", True: ", on the ground", False: ", in the air"}[state.landed]
+    return judged(
+        AREA,
+        "arming",
+        Finding.WARNING if state.armed else Finding.OK,
+        f"{'armed' if state.armed else 'disarmed'}{where}",
+        "a check is for the ground: disarm, and keep away from the propellers until then",
+    )
 
 
 def _pose(facts: VehicleFacts, state: VehicleState) -> list[Check]:
@@ -162,6 +232,39 @@ def _frames(state: VehicleState) -> Check:
     )
 
 
+def _heading(facts: VehicleFacts) -> Check:
+    covariance = None if facts.odometry is None else facts.odometry.covariance
+    variance = 0.0 if covariance is None else float(covariance[5, 5])
+    if not 0.0 < variance < math.inf:
+        return unchecked(AREA, "heading", "the autopilot does not say how well it knows it")
+    sigma = math.sqrt(variance)
+    unsure = Finding.WARNING if sigma <= HEADING_MAX_RAD else Finding.FAULT
+    return judged(
+        AREA,
+        "heading",
+        Finding.OK if sigma <= HEADING_GOOD_RAD else unsure,
+        f"known to {math.degrees(sigma):.1f} degrees",
+        "the estimator has no heading that it trusts: without a compass it needs the vision's "
+        "(EKF2_EV_CTRL with 8, --vio-topic)",
+    )
+
+
+def _height(facts: VehicleFacts) -> Check:
+    height, lidar = facts.height_m, facts.lidar_m
+    if height is None or lidar is None:
+        return unchecked(AREA, "height", "there is no pose and lidar that looks down, both at once")
+    off = abs(height - lidar)
+    far = Finding.WARNING if off <= HEIGHT_MAX_M else Finding.FAULT
+    return judged(
+        AREA,
+        "height",
+        Finding.OK if off <= HEIGHT_GOOD_M else far,
+        f"{height:.2f} m by the estimate, {lidar:.2f} m by the lidar",
+        "the estimator does not go by the lidar, or the floor is not where it began: see "
+        "EKF2_HGT_REF and EKF2_RNG_CTRL; --floor-m and --ceiling-m are heights of the estimate",
+    )
+
+
 def _clock(facts: VehicleFacts) -> Check:
     bound = facts.clock_bound_ms
     if bound is None:
@@ -203,24 +306,36 @@ def _parameters(facts: VehicleFacts, wanted: Mapping[str, Parameter]) -> list[Ch
     values = facts.parameters
     if values is None:
         return [unchecked(AREA, "parameters", "only PX4's are compared")]
-    checks = []
-    for name, parameter in wanted.items():
-        if name not in values:
-            continue
-        if not parameter.matches(values[name]):
-            checks.append(
-                judged(
-                    AREA,
-                    name,
-                    Finding.FAULT,
-                    f"{values[name]:g}",
-                    f"set it to {parameter.value:g}: {parameter.why}",
-                )
-            )
-    missing = [name for name in wanted if name not in values]
-    if len(missing) == len(wanted):
-        return [unchecked(AREA, "parameters", "the autopilot did not answer")]
-    if missing:
-        checks.append(unchecked(AREA, "parameters", f"no answer for {', '.join(missing)}"))
-    same = len(wanted) - len(missing) - sum(c.finding is Finding.FAULT for c in checks)
-    return [*checks, ok(AREA, "parameters", f"{same} of {len(wanted)} as packaged")]
+    wrong = [
+        judged(
+            AREA,
+            name,
+            Finding.FAULT,
+            f"{values[name]:g}",
+            f"set it to {parameter.value:g}: {parameter.why}",
+        )
+        for name, parameter in wanted.items()
+        if name in values and not parameter.matches(values[name])
+    ]
+    silent = [name for name in wanted if name not in values]
+    same = len(wanted) - len(silent) - len(wrong)
+    found = f"{same} of {len(wanted)} as packaged"
+    if wrong:
+        found += f", {len(wrong)} otherwise"
+    if silent:
+        found += f", no answer for {', '.join(silent)}"
+    # A value that nobody has told is none that is well
+    unsure = Finding.WARNING if silent else Finding.OK
+    return [
+        *wrong,
+        judged(
+            AREA,
+            "parameters",
+            Finding.FAULT if wrong else unsure,
+            found,
+            "load drone_client/autopilot/aerial-contact.params (docs/px4.md)"
+            if wrong
+            else "ask again: a slow line loses answers; a firmware of another version may not have "
+            "them, then set what it has instead",
+        ),
+    ]
