@@ -49,7 +49,8 @@ class OdometryFeed:
         Args:
             source: of the samples.
             estimator: gets them.
-            on_jump: the VIO has jumped; for the ledger.
+            on_jump: the VIO has jumped; for the ledger. Called before the sample that shows it is
+                passed on. May ask for counts; must not tick.
             jump: what is a jump.
             lidar: when a distance is believed.
         """
@@ -61,14 +62,17 @@ class OdometryFeed:
         self._estimator = estimator
         self._on_jump = on_jump
         self._watch = JumpWatch(jump)
+        self._turn = threading.Lock()
+        """One tick at a time, its callbacks included: samples stay in order."""
         self._lock = threading.Lock()
+        """Of what is counted; never held while somebody is called."""
         self._resets = 0
         self._odometry: OdometrySample | None = None
         self._ranges: dict[str, RangeSample] = {}
 
     def tick(self, now_ns: int) -> float | None:
         """Pass on what is new; returns the distance ahead that the mission may use, if any."""
-        with self._lock:
+        with self._turn:
             self._pass_odometry(self._source.odometry())
             self._pass_range("height", self._source.height(), self.height)
             self._pass_range("ahead", self._source.ahead(), self.ahead)
@@ -90,19 +94,21 @@ class OdometryFeed:
             return
         self._odometry = sample
         motion = Motion(sample.t_ns, sample.world_from_body, sample.velocity_world, sample.resets)
-        jump = self._watch.see(motion)
+        with self._lock:
+            jump = self._watch.see(motion)
+            usable = self._watch.newest is motion  # else it came late, or is no number
+            self.given += usable
         if jump is not None:
             self._resets += 1
             self._on_jump(jump)
-        if self._watch.newest is not motion:
-            return  # late, or no number
-        self.given += 1
-        self._estimator.give_odometry(replace(sample, resets=self._resets % MAX_RESETS))
+        if usable:
+            self._estimator.give_odometry(replace(sample, resets=self._resets % MAX_RESETS))
 
     def _pass_range(self, name: str, sample: RangeSample | None, lidar: Lidar) -> None:
         if sample is None or sample is self._ranges.get(name):
             return
         self._ranges[name] = sample
-        believed = lidar.see(sample)
+        with self._lock:
+            believed = lidar.see(sample)
         if believed is not None:
             self._estimator.give_range(believed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import suppress
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from drone_client.errors import LinkError
 from drone_client.odometry import OdometrySample, RangeSample
 from drone_client.odometry.choose import open_odometry
 from drone_client.odometry.feed import OdometryFeed
-from drone_client.odometry.jump import JumpReason
+from drone_client.odometry.jump import Jump, JumpReason
 from drone_client.odometry.ros_samples import SampleError, odometry_sample, range_sample
 from drone_client.odometry.source import MemoryOdometry
 from drone_client.odometry.zenoh import RosOdometry
@@ -254,6 +255,30 @@ def test_each_sample_is_given_once_and_a_jump_is_counted_into_it():
     assert [s.resets for s in estimator.odometry] == [0, 0, 0, 0, 1, 1]
     assert [j.reason for j in jumps] == [JumpReason.POSITION]
     assert feed.given == 6
+
+
+def test_who_hears_of_a_jump_may_ask_for_the_counts():
+    """From its own thread, and from another that it waits for: nobody waits for ever."""
+    source, counted = MemoryOdometry(), []
+
+    def on_jump(_jump: Jump) -> None:
+        counted.append(feed.counts())
+        other = threading.Thread(target=lambda: counted.append(feed.counts()), daemon=True)
+        other.start()
+        other.join(timeout=20)
+
+    def fly() -> None:
+        for i, x in enumerate((0.0, 0.0, 0.3)):
+            where = pose((x, 0, 0))
+            source.newest_odometry = OdometrySample(i * 20 * MS, where, np.zeros(3))
+            feed.tick(i * 20 * MS)
+
+    feed = OdometryFeed(source, Given(), on_jump)
+    flying = threading.Thread(target=fly, daemon=True)
+    flying.start()
+    flying.join(timeout=40)
+    assert not flying.is_alive()
+    assert [(c["odometry_jumps"], c["odometry_given"]) for c in counted] == [(1, 3), (1, 3)]
 
 
 def test_what_is_no_number_or_late_is_not_given():
