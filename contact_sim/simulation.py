@@ -1,0 +1,349 @@
+"""The whole drone in its world, stepped together in simulated time.
+
+No threads and no wall clock: whoever steps it says how much time passes, and the same scene, seed
+and commands at the same steps give the same flight, bit for bit. One step is 2 ms; IMU, estimator,
+velocity loop, rotors and wind run at every second one, VIO and lidars at their own rates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from contact_sim.chance import stream
+from contact_sim.contacts import Contacts, Motion, Touch
+from contact_sim.errors import VehicleError
+from contact_sim.scene import Scene, Snapshot
+from contact_sim.scene.drone import MASS_KG, TIMESTEP_S, TIP_RADIUS_M, add_drone, rotor_places
+from contact_sim.sensing.imu import Imu, ImuSettings
+from contact_sim.sensing.lidar import Lidar, LidarSettings
+from contact_sim.sensing.vio import Moving, Vio, VioSettings
+from contact_sim.vehicle import velocity_loop
+from contact_sim.vehicle.estimator import Estimate, Estimator, EstimatorSettings
+from contact_sim.vehicle.quaternion import Quaternion, from_vector, product, rotate
+from contact_sim.vehicle.rotors import MAX_THRUST_N, Mixer
+from contact_sim.vehicle.velocity_loop import Craft, LoopSettings, LoopState, Sensed, Setpoint
+from contact_sim.vehicle.wind import Wind, WindSettings
+from drone_client.airframe import Airframe
+from drone_client.cbf.vector import Vec3, is_bounded
+from drone_client.odometry import OdometrySample, RangeSample
+from rgbd_wire.camera import RgbdCamera
+from rgbd_wire.geometry import Array, Pose
+
+STEP_NS = 2_000_000
+CONTROL_STEPS = 2
+"""Physics steps from one turn of the velocity loop to the next: 250 Hz."""
+LEARNED = 0.98
+"""So much of the IMU's biases the estimator knows at the start, in the air."""
+MAX_STEPS = 10_000_000
+MAX_COMMAND = 100.0
+"""A velocity [m/s] or yaw rate [rad/s] beyond this is a fault, not a command."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationSettings:
+    """How the drone flies and what disturbs it; the defaults are a calm day."""
+
+    loop: LoopSettings = field(default_factory=LoopSettings)
+    estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
+    imu: ImuSettings = field(default_factory=ImuSettings)
+    vio: VioSettings = field(default_factory=VioSettings)
+    lidar: LidarSettings = field(default_factory=LidarSettings)
+    wind: WindSettings = field(default_factory=WindSettings)
+    feeds_itself: bool = True
+    """VIO and height go to the estimator by themselves; otherwise only what ``give_odometry`` and
+    ``give_range`` pass on, as where the client feeds the autopilot."""
+
+
+class Truth(NamedTuple):
+    """How it really is."""
+
+    t_ns: int
+    world_from_body: Pose
+    velocity_world: Array  # (3,) [m/s]
+    """Of the body's origin."""
+    rates_body: Array  # (3,) [rad/s]
+    tip_world: Array  # (3,) [m]
+    """Where the tip's front really is, pressed in or not."""
+    arm_m: float
+    """By how much the arm is pressed in."""
+    tip_force_n: float
+    """Along the normals of all that it touches, in the last step."""
+    touches: tuple[Touch, ...]
+    """Of the last step."""
+    worst_impact_mps: float
+    """Of the tip, in this flight."""
+    wind_world: Vec3
+    """[m/s]"""
+
+
+class Simulation:
+    """A flight. May be used from one thread at a time.
+
+    Its parts take faults: ``vio_camera.jump`` and ``.out``, ``wind.gust``, ``lamp_out``.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        airframe: Airframe,
+        rig: RgbdCamera,
+        seed: int,
+        settings: SimulationSettings | None = None,
+    ) -> None:
+        """Put the drone into the scene, in the air and at rest.
+
+        Args:
+            scene: the world; the drone is added to a copy of its ``spec``.
+            airframe: where camera, arm and propellers are.
+            rig: the cameras.
+            seed: of all that is drawn by chance in flight.
+            settings: of the vehicle, its sensors and the wind.
+
+        Raises:
+            VehicleError: the drone cannot be built with that airframe.
+            WorldError: the seed is none.
+        """
+        self.settings = settings or SimulationSettings()
+        self.scene = scene
+        self.vio: OdometrySample | None = None
+        """The newest of the VIO; stamps here and below are simulated time."""
+        self.height: RangeSample | None = None
+        """The newest of the lidar that looks down."""
+        self.ahead: RangeSample | None = None
+        """The newest of the lidar that looks forward."""
+        spec = scene.spec.copy()
+        add_drone(spec, airframe, rig, scene.world_from_body)
+        self.model = spec.compile()
+        """Of world and drone; a renderer draws it with a state of its own, from snapshots."""
+        self._data = mujoco.MjData(self.model)
+        self._find()
+        self._mixer = Mixer.of(rotor_places(airframe))
+        self._craft = Craft(MASS_KG, 4.0 * MAX_THRUST_N, self._mixer.authority_nm)
+        hover_n = 0.25 * MASS_KG * velocity_loop.GRAVITY_MPS2
+        self._data.act[self._rotors] = self._data.ctrl[self._rotors] = hover_n
+        mujoco.mj_forward(self.model, self._data)
+
+        self._steps = 0
+        self._setpoint = Setpoint()
+        self._wind_world = self.settings.wind.mean_world
+        self.contacts = Contacts(self.model)
+        self.wind = Wind(self.settings.wind, stream(seed, "wind"))
+        drag = self.wind.drag(self._wind_world, (0.0, 0.0, 0.0))
+        # Whoever hovered until now has learned to lean against the wind.
+        self._loop = LoopState(velocity_integral=_scaled(drag, -1.0 / MASS_KG))
+        self._imu = Imu(self.settings.imu, stream(seed, "imu"))
+        self._state = self._read()
+        self._sampled = self._state
+        start = self._moving()
+        self.vio_camera = Vio(self.settings.vio, stream(seed, "vio"), start)
+        lidar, model = self.settings.lidar, self.model
+        self._down = Lidar(
+            lidar, stream(seed, "lidar_down"), model, "drone/lidar_down", looks_down=True
+        )
+        self._forward = Lidar(
+            lidar, stream(seed, "lidar_ahead"), model, "drone/lidar_ahead", looks_down=False
+        )
+        self._vio_due_ns = self._lidar_due_ns = 0
+        # And the estimator has learned most of what is wrong with its IMU.
+        accel_bias, gyro_bias = (_scaled(bias, LEARNED) for bias in self._imu.biases)
+        self._estimator = Estimator(
+            self.settings.estimator, 0, scene.world_from_body, accel_bias, gyro_bias
+        )
+        self._lamps_out: frozenset[str] = frozenset()
+
+    @property
+    def t_ns(self) -> int:
+        """Simulated time."""
+        return self._steps * STEP_NS
+
+    def step(self, n: int = 1) -> None:
+        """Let ``n`` steps of 2 ms pass.
+
+        Raises:
+            VehicleError: ``n`` is no number of steps, or the physics have diverged.
+        """
+        if not 0 <= n <= MAX_STEPS:
+            raise VehicleError(f"a number of steps is 0 to {MAX_STEPS}, not {n}")
+        for _ in range(n):
+            if self._steps % CONTROL_STEPS == 0:
+                self._control()
+            before = self._state
+            mujoco.mj_step(self.model, self._data)
+            self._state = self._read()
+            if self._data.ncon or self.contacts.touches:
+                self.contacts.look(self._data, self.t_ns, self._motion(before))
+            self._steps += 1
+            self._sense()
+        if not np.isfinite(self._data.qpos).all():
+            raise VehicleError(f"the physics diverged before {self.t_ns / 1e9:.3f} s")
+
+    def set_velocity(self, velocity_world: Array | Vec3, yaw_rate_radps: float) -> None:
+        """What the vehicle flies from now on, until it is told otherwise.
+
+        Args:
+            velocity_world: (3,) of the body [m/s], in the odometry's world, as an autopilot takes
+                it.
+            yaw_rate_radps: counter-clockwise seen from above.
+
+        Raises:
+            VehicleError: a number is none, or absurd.
+        """
+        x, y, z = (float(c) for c in velocity_world)
+        rate = float(yaw_rate_radps)
+        if not is_bounded((x, y, z), MAX_COMMAND) or not abs(rate) <= MAX_COMMAND:
+            raise VehicleError(
+                f"no command to fly: velocity_world = {(x, y, z)} m/s, yaw rate {rate} rad/s; each "
+                f"must be a number of at most {MAX_COMMAND:g}"
+            )
+        self._setpoint = Setpoint((x, y, z), rate)
+
+    def give_odometry(self, sample: OdometrySample) -> None:
+        """Pass a pose on to the estimator, stamped in simulated time."""
+        self._estimator.feed(sample)
+
+    def give_range(self, sample: RangeSample) -> None:
+        """Pass a distance on to the estimator, stamped in simulated time."""
+        self._estimator.feed_range(sample)
+
+    def lamp_out(self, name: str) -> None:
+        """Put out one of the scene's lamps.
+
+        Raises:
+            VehicleError: the scene has no such lamp.
+        """
+        if name not in self.scene.lamps:
+            raise VehicleError(f"no lamp {name!r}; the scene has: {', '.join(self.scene.lamps)}")
+        self._lamps_out |= {name}
+
+    @property
+    def estimate(self) -> Estimate:
+        """What the autopilot believes, in the odometry's world."""
+        return self._estimator.estimate()
+
+    @property
+    def truth(self) -> Truth:
+        """How it really is."""
+        position, q, velocity, rates, arm_m, _ = self._state
+        pose = Pose(np.array(position), np.array(q))
+        tip_body = self._tip_body + arm_m * self._arm_axis
+        return Truth(
+            self.t_ns,
+            pose,
+            np.array(velocity),
+            np.array(rates),
+            pose @ tip_body,
+            -arm_m,
+            self.contacts.tip_force_n,
+            self.contacts.touches,
+            self.contacts.worst_impact_mps.get("drone/tip", 0.0),
+            self._wind_world,
+        )
+
+    def snapshot(self) -> Snapshot:
+        """All that a picture of now depends on; a copy, for a renderer in any thread."""
+        return Snapshot(self.t_ns, self._data.qpos.copy(), self._lamps_out)
+
+    def _find(self) -> None:
+        """Where the drone's numbers are in the model's."""
+        model = self.model
+        free, arm = model.joint("drone/free"), model.joint("drone/arm")
+        self._at_q, self._at_v = int(free.qposadr[0]), int(free.dofadr[0])
+        self._at_arm_q, self._at_arm_v = int(arm.qposadr[0]), int(arm.dofadr[0])
+        self._body = int(model.body("drone").id)
+        self._rotors = [int(model.actuator(f"drone/rotor_{i}").id) for i in range(4)]
+        slider = model.body("drone/slider")
+        self._arm_axis: Array = model.jnt_axis[arm.id].copy()
+        self._tip_body: Array = slider.pos + TIP_RADIUS_M * self._arm_axis
+        x, y, z = self._arm_axis.tolist()
+        self._arm_axis_body: Vec3 = (x, y, z)
+
+    def _read(self) -> _State:
+        q, v = self._data.qpos.tolist(), self._data.qvel.tolist()
+        i, j = self._at_q, self._at_v
+        return _State(
+            (q[i], q[i + 1], q[i + 2]),
+            (q[i + 3], q[i + 4], q[i + 5], q[i + 6]),
+            (v[j], v[j + 1], v[j + 2]),
+            (v[j + 3], v[j + 4], v[j + 5]),
+            q[self._at_arm_q],
+            v[self._at_arm_v],
+        )
+
+    def _moving(self) -> Moving:
+        s = self._state
+        return Moving(self.t_ns, s.position, s.q, s.velocity)
+
+    def _motion(self, s: _State) -> Motion:
+        return Motion(
+            s.position,
+            s.velocity,
+            rotate(s.q, s.rates),
+            rotate(s.q, self._arm_axis_body),
+            s.arm_mps,
+        )
+
+    def _control(self) -> None:
+        """IMU, estimator, velocity loop, rotors; and the wind until the next time."""
+        dt_s = CONTROL_STEPS * TIMESTEP_S
+        now, before = self._state, self._sampled
+        estimator = self._estimator
+        if self._steps > 0:
+            px, py, pz = before.rates
+            qx, qy, qz = now.rates
+            rates = 0.5 * (px + qx), 0.5 * (py + qy), 0.5 * (pz + qz)
+            half = 0.5 * dt_s
+            turn = half * rates[0], half * rates[1], half * rates[2]
+            middle = product(before.q, from_vector(turn))
+            gained = tuple(a - b for a, b in zip(now.velocity, before.velocity, strict=True))
+            estimator.propagate(
+                self.t_ns,
+                self._imu.sample(middle, gained, rates, dt_s),  # type: ignore[arg-type]
+            )
+        self._sampled = now
+        sensed = Sensed(estimator.q, estimator.velocity, estimator.acceleration, estimator.rates)
+        self._loop, effort = velocity_loop.step(
+            self._loop, self._setpoint, sensed, dt_s, self.settings.loop, self._craft
+        )
+        self._data.ctrl[self._rotors] = self._mixer.thrusts(effort)
+        self._wind_world = self.wind.step(dt_s)
+        self._data.xfrc_applied[self._body, :3] = self.wind.drag(self._wind_world, now.velocity)
+
+    def _sense(self) -> None:
+        """What the sensors measure at the end of a step, and what comes out of them."""
+        t_ns = self.t_ns
+        if t_ns >= self._vio_due_ns:
+            self._vio_due_ns += self.settings.vio.period_ns
+            self.vio_camera.measure(self._moving())
+        while (sample := self.vio_camera.due(t_ns)) is not None:
+            self.vio = sample
+            if self.settings.feeds_itself:
+                self._estimator.feed(sample)
+        if t_ns >= self._lidar_due_ns:
+            self._lidar_due_ns += self.settings.lidar.period_ns
+            s = self._state
+            self.height = self._down.measure(self._data, t_ns, s.position, s.q)
+            self.ahead = self._forward.measure(self._data, t_ns, s.position, s.q)
+            if self.settings.feeds_itself:
+                self._estimator.feed_range(self.height)
+
+
+class _State(NamedTuple):
+    """The drone's own numbers in the physics."""
+
+    position: Vec3
+    q: Quaternion
+    velocity: Vec3
+    rates: Vec3
+    """In the body [rad/s]."""
+    arm_m: float
+    """Negative: pressed in."""
+    arm_mps: float
+
+
+def _scaled(v: Vec3, k: float) -> Vec3:
+    x, y, z = v
+    return k * x, k * y, k * z
