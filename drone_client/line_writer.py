@@ -17,6 +17,9 @@ from typing import Any, Final, TextIO
 MAX_WAITING: Final = 20_000
 """Lines on their way, some minutes of flight; what comes on top is lost, and counted."""
 
+CLOSE_S: Final = 10.0
+"""Time for the last lines at the end; a network disk may hang for good."""
+
 
 class LineWriter:
     """Writes JSON lines to named files in a thread of its own, in order. Thread-safe.
@@ -70,11 +73,13 @@ class LineWriter:
         return reached.wait(timeout_s)
 
     def close(self) -> None:
-        """Write what is left, and end."""
+        """Write what is left, and end; what a disk that hangs has not taken by then is lost."""
         with self._lock:
             self._closing = True
         self._some.set()
-        self._thread.join()
+        self._thread.join(CLOSE_S)
+        if self._thread.is_alive():
+            self._lose(self._handed - self._written)
 
     def _run(self) -> None:
         while True:

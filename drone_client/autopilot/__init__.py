@@ -66,6 +66,11 @@ class FlyingAutopilot(Autopilot, Protocol):
         """In words: where asking for the vehicle stands, and why."""
         ...
 
+    @property
+    def idle(self) -> bool:
+        """Whether it neither asks for the vehicle nor flies it: not engaged, or it gave up."""
+        ...
+
     def state(self) -> VehicleState | None:
         """The newest state; None: never heard."""
         ...

@@ -26,7 +26,7 @@ from drone_client.autopilot.dead_man import (
 )
 from drone_client.autopilot.flavour import Flavour
 from drone_client.autopilot.line import Line, Received
-from drone_client.autopilot.mode_order import Answer, Ask, Flow, Heard, ModeOrder
+from drone_client.autopilot.mode_order import Answer, Ask, Flow, Heard, ModeOrder, Phase
 from drone_client.autopilot.parameter_reader import ParameterReader
 from drone_client.autopilot.receiver import Receiver
 from drone_client.autopilot.sender import Sender
@@ -141,6 +141,11 @@ class MavlinkAutopilot:
     def reason(self) -> str:
         """Why it is silent, in words, or what it waits for; empty while engaged."""
         return self._order.reason
+
+    @property
+    def idle(self) -> bool:
+        """Whether it neither asks for the vehicle nor flies it."""
+        return self._order.phase is Phase.SILENT
 
     def clock_offset_ns(self) -> tuple[int, int] | None:
         """Autopilot's clock minus drone's clock, and its error bound [ns]; None: not known yet."""

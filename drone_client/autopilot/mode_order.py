@@ -72,8 +72,10 @@ class OrderSettings:
     warm_ms: float = 1200.0
     """Setpoints flow for so long before the mode is asked for; PX4 wants more than 1000 ms."""
     retry_ms: float = 500.0
-    """Between two questions at least. A heartbeat that still says the mode from before must lie
-    between them too: else a question could undo what a pilot has done meanwhile."""
+    """Between two questions at least."""
+    ask_within_ms: float = 100.0
+    """A question follows a heartbeat that says the mode from before, no later than this: what a
+    pilot has done since that heartbeat, a question would undo."""
     accepted_ms: float = 2500.0
     """After a question was accepted nothing is asked any more; so long the mode may take."""
     tries: int = 6
@@ -87,6 +89,7 @@ class OrderSettings:
         for name, low, high in (
             ("warm_ms", 1000.0, 10_000.0),
             ("retry_ms", 100.0, 5000.0),
+            ("ask_within_ms", 40.0, 500.0),
             ("accepted_ms", 1000.0, 10_000.0),
             ("tries", 1, 20),
             ("heartbeat_lost_ms", 1500.0, 10_000.0),
@@ -163,7 +166,7 @@ class ModeOrder:
         match self.phase:
             case Phase.WARMING if not in_mode and before is not None and heard.mode != before.mode:
                 self._enter(Phase.SILENT, heard.t_ns, f"the pilot switched to {heard.mode}")
-            case Phase.ASKING if in_mode and self._asked:
+            case Phase.ASKING if in_mode:
                 self.engaged_ns = heard.t_ns
                 self._was_armed = heard.armed
                 self._enter(Phase.ENGAGED, heard.t_ns, "")
@@ -224,7 +227,7 @@ class ModeOrder:
         assert self._heard is not None
         self._mode_before = self._heard.mode
         self._enter(Phase.ASKING, now_ns, f"asks for {self._mode}")
-        return self._ask_to_take(now_ns)
+        return Step(Flow.ZERO)
 
     def _ask_to_take(self, now_ns: int) -> Step:
         if self._never:
@@ -246,21 +249,23 @@ class ModeOrder:
             return self._fall_silent(now_ns, "released")
         if self._overdue(now_ns) or not self._fresh(now_ns):
             return self._fall_silent(now_ns, "no answer to hold: left to the autopilot's failsafe")
-        unsure = self._heard is None or self._heard.t_ns < self._since_ns
-        if unsure or not self._may_ask(now_ns):
-            # Since the last heartbeat a pilot may have switched: the question would undo it
+        if not self._may_ask(now_ns):
             return Step(Flow.ZERO)
         if self._never or self._asked == self._settings.tries:
             return self._fall_silent(now_ns, "no answer to hold: left to the autopilot's failsafe")
         return Step(Flow.ZERO, self._question(Ask.HOLD, now_ns))
 
     def _may_ask(self, now_ns: int) -> bool:
+        """Right after a heartbeat of this phase: later, a pilot may have switched meanwhile."""
+        heard = self._heard
+        if heard is None or heard.t_ns < self._since_ns or self._accepted_ns is not None:
+            return False
+        if now_ns - heard.t_ns > self._settings.ask_within_ms * NS_PER_MS:
+            return False
         if self._asked_ns is None:
             return True
-        if self._accepted_ns is not None or self._heard is None:
-            return False
         retry_ns = self._settings.retry_ms * NS_PER_MS
-        return now_ns - self._asked_ns >= retry_ns and self._heard.t_ns > self._asked_ns
+        return now_ns - self._asked_ns >= retry_ns and heard.t_ns > self._asked_ns
 
     def _overdue(self, now_ns: int) -> bool:
         accepted_ns = self._accepted_ns

@@ -91,6 +91,11 @@ class SimulatedAutopilot:
         """The mode is there at once."""
         return "the mode is there" if self.mode == "OFFBOARD" else "not engaged"
 
+    @property
+    def idle(self) -> bool:
+        """Whether it is in another mode than ours."""
+        return self.mode != "OFFBOARD"
+
     def state(self) -> VehicleState:
         """The state now."""
         with self._lock:

@@ -68,7 +68,11 @@ def fly(
         typer.Option(help="height of a ceiling in the odometry's world", show_default=False),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="send nothing to the vehicle, show the commands")
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="fly nothing, show the commands; only heartbeats, time and rates are exchanged",
+        ),
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="take the vehicle without a question")] = False,
     connect: Annotated[str | None, typer.Option(help=about("connect"))] = None,
@@ -114,8 +118,8 @@ def fly(
     The drone hovers already, armed and taken off by its pilot, with the target in front of it.
     The client asks before it takes the vehicle (OFFBOARD), arms nothing by itself, and lets go at
     once when the pilot switches the mode. Ctrl-C, SIGTERM, a terminal that is closed: the drone
-    backs off and is given back; once more: it is given back where it is. With --dry-run nothing
-    is sent: carry the drone by hand and look at the commands.
+    backs off and is given back; once more: it is given back where it is. With --dry-run no mode is
+    asked for and no command sent: carry the drone by hand and look at the commands.
 
     Exit code 0: touched and back. 3: the mission ended otherwise, or nobody agreed.
 

@@ -23,6 +23,11 @@ class Unheard:
         """Nothing is asked for."""
         return "a dry run"
 
+    @property
+    def idle(self) -> bool:
+        """Never: a dry run goes on without the vehicle."""
+        return False
+
     def state(self) -> VehicleState | None:
         """The vehicle's own."""
         return self._vehicle.state()

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from drone_client.airframe import Airframe
 from drone_client.autopilot import FlyingAutopilot
@@ -113,6 +113,12 @@ class _Run:
         self._source.start()
         self.flight.start()
         self._pump.start()
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether the vehicle has been ours."""
+        mission = None if self.decision is None else self.decision.mission
+        return mission is not None and mission.begun_ns is not None
 
     def is_stuck(self, since_ns: int) -> bool:
         """Whether nothing was decided for too long, which no order could end.
@@ -242,9 +248,9 @@ def fly(
             ledger.event(clock.now_ns(), "agreed", dry_run=options.dry_run)
             run.orders.give(Order.GO)
             vehicle.engage()
-            if not _watch(run, vehicle, link, cockpit, clock.now_ns()):
-                run.sentences.put("the control loop is stuck: the vehicle is given back")
-                ledger.event(clock.now_ns(), "control_stuck")
+            if (why := _watch(run, vehicle, link, cockpit, clock.now_ns())) is not None:
+                run.sentences.put(why.sentence)
+                ledger.event(clock.now_ns(), why.event, sentence=why.sentence)
     except KeyboardInterrupt:
         vehicle.release()  # before a word: a terminal may take its time
         cockpit.tell("interrupted")
@@ -269,10 +275,17 @@ def fly(
     return report(options.out, settings, run.flight, ledger, about, plot=options.plot)
 
 
+class _NoEnd(NamedTuple):
+    """Why a mission will never give the vehicle back by itself."""
+
+    event: str
+    sentence: str
+
+
 def _watch(
     run: _Run, vehicle: FlyingAutopilot, link: Link, cockpit: Cockpit, since_ns: int
-) -> bool:
-    """Until the mission has given the vehicle back; False: it never will, as nothing decides."""
+) -> _NoEnd | None:
+    """Until the mission has given the vehicle back, or never will."""
     reason = ""
     while True:
         try:
@@ -283,8 +296,12 @@ def _watch(
                 _tell_all(run, cockpit)
                 cockpit.show(_view(run, vehicle, link))
                 if run.is_stuck(since_ns):
-                    return False
-            return True
+                    return _NoEnd(
+                        "control_stuck", "the control loop is stuck: the vehicle is given back"
+                    )
+                if vehicle.idle and not run.has_begun:
+                    return _NoEnd("not_taken", f"the vehicle was not taken: {vehicle.reason}")
+            return None
         except KeyboardInterrupt:
             if run.orders.now is Order.ABORT:
                 raise

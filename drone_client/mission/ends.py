@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 from drone_client.cbf.status import Status
-from drone_client.mission.move import Move, clock_stands, lasts, phase_lasts, phase_s, place, quoted
+from drone_client.mission.move import (
+    Move,
+    clock_stands,
+    lasts,
+    phase_lasts,
+    phase_s,
+    place,
+    quoted,
+    waits_for,
+)
 from drone_client.mission.phase import Order, Phase, Reason
 from drone_client.mission.settings import MissionSettings
 from drone_client.mission.state import MissionState, Observation
@@ -51,10 +60,8 @@ def _ordered(
         return Reason.ORDERED_ABORT, "ended by a person"
     if state.begun_ns is None:
         if phase_lasts(state, settings.waiting_max_s):
-            return (
-                Reason.WAITED_TOO_LONG,
-                f"no vehicle took commands for {settings.waiting_max_s:g} s",
-            )
+            lacks = waits_for(obs, settings) or "no vehicle took commands"
+            return Reason.WAITED_TOO_LONG, f"{lacks}, after {settings.waiting_max_s:g} s of waiting"
         return None
     battery = None if obs.senses.vehicle is None else obs.senses.vehicle.battery_fraction
     if battery is not None and battery < settings.battery_min:  # not said, or NaN: not known

@@ -93,6 +93,8 @@ def _looked(state: MissionState, obs: Observation, settings: MissionSettings) ->
     state = replace(
         state, now_ns=now_ns, stood=0 if passed_ns else min(state.stood + 1, 10**6), transition=None
     )
+    if state.begun_ns is None and obs.senses.order is Order.HOLD:
+        state = replace(state, since_ns=now_ns)  # a person thinks; nobody waits for a vehicle yet
     if obs.senses.odometry_jumped or not obs.own_pose:
         state = replace(state, lost_ns=now_ns)
     seen = trusted(state, obs)

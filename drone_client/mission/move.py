@@ -85,3 +85,27 @@ def place(state: MissionState) -> str:
     if state.tip_target is None:
         return "tip unknown"
     return "tip at ({:.3f}, {:.3f}, {:.3f}) m".format(*state.tip_target)
+
+
+def waits_for(obs: Observation, settings: MissionSettings) -> str | None:
+    """What a mission that has not begun lacks, for people; None: the vehicle is ready for it.
+
+    What the vehicle does not say counts as lacking: one that may stand on the ground is not flown.
+    """
+    vehicle = obs.senses.vehicle
+    if vehicle is None:
+        return "nothing is heard of a vehicle" if settings.needs_vehicle else None
+    battery = vehicle.battery_fraction
+    if lasts(vehicle.t_heard_ns, obs.now_ns, settings.silent_s):
+        return f"autopilot not heard for over {settings.silent_s:g} s"
+    if vehicle.failsafe:
+        return f"failsafe of the autopilot: {quoted(vehicle.failsafe, 80)}"
+    if not vehicle.obeying:
+        return f"in mode {quoted(vehicle.mode, 40)} the vehicle takes no commands"
+    if vehicle.landed is None:
+        return "the autopilot does not say whether it flies (EXTENDED_SYS_STATE)"
+    if vehicle.landed:
+        return "the vehicle stands on the ground"
+    if battery is not None and battery < settings.battery_min:
+        return f"battery at {battery:.0%}, below {settings.battery_min:.0%}"
+    return None

@@ -12,6 +12,7 @@ from drone_client.mission.move import (
     place,
     quoted,
     trusted,
+    waits_for,
 )
 from drone_client.mission.phase import Order, Phase, Reason
 from drone_client.mission.settings import MissionSettings
@@ -157,22 +158,11 @@ def _hold(state: MissionState, obs: Observation, settings: MissionSettings) -> M
 
 def _begin(state: MissionState, obs: Observation, settings: MissionSettings) -> Move | None:
     """From waiting to searching, as soon as the vehicle is ours and well, and a person says GO."""
+    if obs.senses.order is Order.HOLD or waits_for(obs, settings) is not None:
+        return None
     vehicle = obs.senses.vehicle
-    if obs.senses.order is Order.HOLD:
-        return None
     if vehicle is None:
-        if settings.needs_vehicle:
-            return None
         return Move(Phase.SEARCH, Reason.VEHICLE_READY, "no vehicle to wait for")
-    battery = vehicle.battery_fraction
-    if (
-        not vehicle.obeying
-        or vehicle.landed
-        or vehicle.failsafe
-        or lasts(vehicle.t_heard_ns, obs.now_ns, settings.silent_s)
-        or (battery is not None and battery < settings.battery_min)
-    ):
-        return None
     return Move(
         Phase.SEARCH, Reason.VEHICLE_READY, f"the vehicle obeys in mode {quoted(vehicle.mode, 40)}"
     )

@@ -32,6 +32,10 @@ MAX_GROWTH_BYTES = 24 * 1024 * 1024
 """Of the service under a flood: what a frame and the allocator take, not a session for each."""
 
 
+CALM_S = 0.05
+"""Between two frames of a drone that keeps to its rate, however fast it is answered."""
+
+
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
     """One for all of these tests: what one adversary leaves behind, the next drone has to bear."""
@@ -209,8 +213,11 @@ def test_a_drone_gone_mad_takes_nothing_from_another(service, network, what):
 
         attack = threading.Thread(target=rage)
         attack.start()
+        asked = []
         try:
-            asked = [ask(calm, "d1") for _ in range(40)]
+            while len(asked) < 40 or thrown < 200:
+                asked.append(ask(calm, "d1"))
+                stop.wait(CALM_S)
         finally:
             stop.set()
             attack.join()
@@ -219,7 +226,6 @@ def test_a_drone_gone_mad_takes_nothing_from_another(service, network, what):
     more = {name: after[name] - before.get(name, 0) for name in after}
     turned_away = sum(n for name, n in more.items() if name.startswith("edge_rejected_total"))
     turned_away += more['edge_tunnel_refused_total{reason="drone_rate"}']
-    assert thrown > 100
     assert turned_away > thrown / 4
     if what == "frames":
         looked_at = sum(

@@ -49,10 +49,15 @@ class World:
                 self.hear()
         return steps
 
-    def engage(self) -> None:
+    def engage_until_asked(self) -> None:
         self.hear()
         self.order.engage(self.now_ms * MS)
         self.run(1200)
+        self.hear()
+        assert self.tick().ask is Ask.TAKE
+
+    def engage(self) -> None:
+        self.engage_until_asked()
         self.mode = "OFFBOARD"
         self.order.answered(Answer.ACCEPTED, self.now_ms * MS)
         self.hear()
@@ -65,9 +70,11 @@ def test_setpoints_come_first_and_the_question_after() -> None:
     world.hear()
     assert world.tick() == Step(Flow.NOTHING)
     world.order.engage(world.now_ms * MS)
-    steps = world.run(1180)
-    assert set(steps) == {Step(Flow.ZERO)}
-    assert world.run(20) == [Step(Flow.ZERO, Ask.TAKE)]
+    assert set(world.run(1180)) == {Step(Flow.ZERO)}
+    world.hear()
+    assert [world.tick() for _ in range(2)] == [Step(Flow.ZERO)] * 2  # that one came before
+    world.hear()
+    assert world.tick() == Step(Flow.ZERO, Ask.TAKE)
     world.mode = "OFFBOARD"
     world.hear()
     assert world.tick() == Step(Flow.COMMANDS)
@@ -102,9 +109,7 @@ def test_refusals_are_bounded() -> None:
 def test_what_it_does_not_know_is_asked_once() -> None:
     """UNSUPPORTED ends the order at once."""
     world = World()
-    world.hear()
-    world.order.engage(world.now_ms * MS)
-    world.run(1200)
+    world.engage_until_asked()
     world.order.answered(Answer.NEVER, world.now_ms * MS)
     assert world.tick() == Step(Flow.NOTHING)
     assert world.asked == [Ask.TAKE]
@@ -113,9 +118,7 @@ def test_what_it_does_not_know_is_asked_once() -> None:
 def test_an_accepted_question_is_not_asked_again() -> None:
     """Accepted, then the pilot takes it back before a heartbeat told: no second question."""
     world = World()
-    world.hear()
-    world.order.engage(world.now_ms * MS)
-    world.run(1200)
+    world.engage_until_asked()
     world.order.answered(Answer.ACCEPTED, world.now_ms * MS)
     world.run(6000)
     assert world.asked == [Ask.TAKE]
@@ -125,14 +128,40 @@ def test_an_accepted_question_is_not_asked_again() -> None:
 def test_a_pilot_who_switches_while_it_asks_is_obeyed() -> None:
     """POSCTL becomes ALTCTL: somebody is at the sticks."""
     world = World()
-    world.hear()
-    world.order.engage(world.now_ms * MS)
-    world.run(1220)
+    world.engage_until_asked()
     world.mode = "ALTCTL"
     world.hear()
     assert world.order.phase is Phase.SILENT
     assert "ALTCTL" in world.order.reason
     assert world.tick() == Step(Flow.NOTHING)
+
+
+@pytest.mark.parametrize("mode", ["ALTCTL", "AUTO.RTL"])
+def test_a_pilot_who_switches_between_the_last_heartbeat_and_the_question_is_obeyed(mode: str):
+    """The question waits for a heartbeat of its own, and that one tells of the switch."""
+    world = World()
+    world.hear()
+    world.order.engage(world.now_ms * MS)
+    world.run(1180)
+    world.hear()  # the last that says POSCTL; then the pilot switches
+    world.mode = mode
+    assert all(world.tick().ask is None for _ in range(40))
+    world.hear()
+    assert set(world.run(5000)) == {Step(Flow.NOTHING)}
+    assert mode in world.order.reason
+    assert world.asked == []
+
+
+def test_a_question_that_comes_late_after_the_heartbeat_waits_for_the_next():
+    """A pacer that was held up does not ask on an old word."""
+    world = World()
+    world.hear()
+    world.order.engage(world.now_ms * MS)
+    world.run(1220)
+    world.hear()
+    assert world.tick(120).ask is None
+    world.hear()
+    assert world.tick().ask is Ask.TAKE
 
 
 @pytest.mark.parametrize("mode", ["ALTCTL", "AUTO.RTL"])

@@ -210,6 +210,29 @@ def test_without_a_yes_nothing_is_flown(tmp_path):
     assert not any(np.any(c.velocity_world) for c in scene.vehicle.commands)
 
 
+@pytest.mark.parametrize("way", ["refused", "pilot"])
+def test_a_vehicle_that_is_not_given_ends_the_flight(tmp_path, way, monkeypatch):
+    """It gave up asking, or a pilot was quicker: nobody waits ten minutes for what never comes."""
+
+    class Reluctant(AtTheWall):
+        def engage(self) -> None:
+            super().engage()
+            self.mode = "POSCTL"
+
+    scene = Scene(tmp_path, Reluctant() if way == "refused" else AtTheWall(armed=False))
+    if way == "pilot":  # not armed: it obeys nobody, so the mission waits; then the mode changes
+
+        def switch(view: View) -> None:
+            scene.vehicle.mode = "ALTCTL"
+
+        scene.person.on_view = switch
+    summary = scene.fly()
+    assert summary["phase"] == "hold"
+    assert any("not taken" in told for told in scene.person.told)
+    assert "not_taken" in {e["event"] for e in scene.lines(EVENTS_NAME)}
+    assert all(not np.any(c.velocity_world) for c in scene.vehicle.commands)
+
+
 def test_a_dry_run_sends_nothing(tmp_path):
     """The mission runs against the true state of a vehicle that hears no word of it."""
     scene = Scene(tmp_path)

@@ -92,3 +92,21 @@ def test_whoever_asks_waits_until_the_lines_are_there(tmp_path: Path):
             assert (tmp_path / "a").read_text().count("\n") == n + 1
     writer.close()
     assert writer.on_disk(0)
+
+
+def test_a_disk_that_hangs_for_good_does_not_keep_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """A pipe that nobody ever reads: the end comes, and what was not written is counted."""
+    monkeypatch.setattr(line_writer, "CLOSE_S", 0.05)
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    writer = LineWriter({"pipe": tmp_path / "pipe"})
+    for _ in range(100):
+        writer.put("pipe", {"much": "x" * 10_000})
+    writer.close()
+    assert 0 < writer.lost <= 100
+    os.set_blocking(reader, True)  # let the thread go before the next test
+    while os.read(reader, 1 << 16):
+        pass
+    os.close(reader)

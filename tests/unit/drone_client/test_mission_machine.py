@@ -41,6 +41,7 @@ again, and the way from there to an end."""
 
 def vehicle(**more) -> VehicleState:
     given = {"t_heard_ns": 2**62, "mode": "OFFBOARD", "armed": True, "obeying": True}
+    given["landed"] = False
     return VehicleState(**(given | more))
 
 
@@ -178,6 +179,7 @@ def test_it_waits_for_a_vehicle_that_obeys_and_is_well() -> None:
     for not_yet in (
         vehicle(obeying=False),
         vehicle(landed=True),
+        vehicle(landed=None),
         vehicle(failsafe="battery"),
         vehicle(battery_fraction=0.1),
         vehicle(t_heard_ns=-4 * SECOND),
@@ -397,6 +399,20 @@ def test_nobody_waits_for_ever_for_a_vehicle() -> None:
     """Nor is one flown that comes too late."""
     t = Flown(MissionSettings(waiting_max_s=2.0)).ticks(2.1, vehicle=None)
     assert (t.phase, t.reason) == (Phase.ABORT, Reason.WAITED_TOO_LONG)
+
+
+def test_what_a_vehicle_did_not_say_is_named_when_the_wait_is_over() -> None:
+    """An autopilot that does not say whether it flies is not flown, and the log says so."""
+    t = Flown(MissionSettings(waiting_max_s=2.0)).ticks(2.1, vehicle=vehicle(landed=None))
+    assert "EXTENDED_SYS_STATE" in t.transitions[-1].sentence
+
+
+def test_a_person_may_think_as_long_as_it_takes() -> None:
+    """The wait for a vehicle begins with the word to go."""
+    t = Flown(MissionSettings(waiting_max_s=2.0)).ticks(60.0, vehicle=None, order=Order.HOLD)
+    assert t.reason is Reason.WAITING
+    assert t.ticks(1.9, vehicle=None).reason is Reason.WAITING
+    assert t.ticks(0.2, vehicle=None).reason is Reason.WAITED_TOO_LONG
     assert t.ticks(1.0, seen(0.2)).intent == Intent(STILL, blind=True, give_back=True)
 
 
@@ -472,7 +488,7 @@ def test_a_person_who_says_hold_lets_nothing_begin() -> None:
     """A vehicle that obeys already is waited with."""
     t = Flown().ticks(5.0, seen(), order=Order.HOLD)
     assert (t.phase, t.reason, t.intent) == (Phase.HOLD, Reason.WAITING, Intent(blind=True))
-    assert t.tick(seen()).phase is Phase.SEARCH
+    assert t.ticks(0.32, seen()).phase is Phase.SEARCH
 
 
 def test_a_person_who_says_hold_stops_the_way_back_of_an_abort() -> None:
