@@ -20,7 +20,7 @@ from rgbd_wire.clock import Clock
 
 AREA = "vehicle"
 HEARD_S = 5.0
-"""So long a heartbeat is waited for, and then so long ..."""
+"""So long a heartbeat and a lidar are waited for, and then so long ..."""
 WATCHED_S = 3.0
 """... the rates are looked at."""
 PARAMETERS_S = 8.0
@@ -75,6 +75,8 @@ def collect_vehicle(
     while vehicle.state() is None:
         if time.monotonic() > give_up:
             return VehicleFacts(None)
+        time.sleep(0.02)
+    while odometry is not None and odometry.height() is None and time.monotonic() < give_up:
         time.sleep(0.02)
     stamps: list[int] = []
     oldest_ns, resets, first = 0, 0, vehicle.odometry()
