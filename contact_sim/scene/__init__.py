@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from contact_sim.chance import MAX_SEED
 from contact_sim.errors import WorldError
-from contact_sim.scene.board import BOARDS
 
 if TYPE_CHECKING:
     import mujoco
@@ -18,6 +17,8 @@ if TYPE_CHECKING:
     from rgbd_wire.geometry import Array, Pose
 
 WORLDS = ("tunnel", "refinery")
+BOARDS = ("clean", "scratched", "glossy")
+"""States of the print: fresh, worn by years of work, under a film that mirrors lamps."""
 
 SEEN_GROUP = 0
 """Geoms that are seen, by cameras and lidars; the drone's own belong to it too."""
@@ -105,7 +106,7 @@ def build_scene(world: str, seed: int, board: str = "clean") -> Scene:
     Args:
         world: one of ``WORLDS``.
         seed: draws its size, slope, clutter, lamps, sun, the board's place and the start.
-        board: one of ``board.BOARDS``: the state of the print.
+        board: one of ``BOARDS``.
 
     Raises:
         WorldError: there is no such world, board or seed.

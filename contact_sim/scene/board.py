@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import cv2
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from contact_sim.scene import SEEN_GROUP
+from contact_sim.scene.shapes import add_shape, moved, panel
+from contact_sim.scene.textures import add_material
+from rgbd_wire.geometry import Pose
 from target_pose.target import Shade, Target
 
-BOARDS = ("clean", "scratched", "glossy")
 PRINT_PX = 2048
 """Side of the texture: 0.2 mm of a board of 400 mm, a fifth of a pixel from 0.45 m away."""
 PLATE_M = 0.012
 """Thickness of the plate that carries the print."""
+PRINT_M = 0.0002
+"""Thickness of the sheet that is seen; the plate behind is what is touched."""
+FRICTION = (0.6, 0.005, 1e-4)
+"""Of a painted plate: sliding, turning [m], rolling [m]."""
 _ALBEDO = {Shade.BLACK: 0.055, Shade.WHITE: 0.80}
 """Ink is not quite black and paper not quite white."""
 
@@ -66,3 +74,37 @@ def _worn(albedo: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.f
     bare = np.float32(rng.uniform(0.2, 0.4))
     scraped = marks.astype(np.float32) / 255 * rng.uniform(0.6, 0.95)
     return np.asarray(albedo + scraped * (bare - albedo), dtype=np.float32)
+
+
+def add_board(
+    spec: mujoco.MjSpec,
+    target: Target,
+    board: str,
+    world_from_target: Pose,
+    rng: np.random.Generator,
+) -> None:
+    """Hang the board into the world: geom ``board``, a plate that can be touched, and its print."""
+    half = target.board_side_m / 2
+    gloss = (0.9, 0.55) if board == "glossy" else (0.0, 0.1)
+    plate = world_from_target @ np.array([-PRINT_M - PLATE_M / 2, 0.0, 0.0])
+    spec.add_material(name="plate", rgba=(0.35, 0.35, 0.36, 1.0))
+    spec.worldbody.add_geom(
+        name="board",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=(PLATE_M / 2, half, half),
+        pos=plate,
+        quat=world_from_target.q_wxyz,
+        friction=FRICTION,
+        material="plate",
+        group=SEEN_GROUP,
+    )
+    # Lamps shine on the corners of triangles alone: a highlight wants many of them.
+    sheet = panel(
+        np.array([0.0, -half, half]),
+        np.array([0.0, 2 * half, 0.0]),
+        np.array([0.0, 0.0, -2 * half]),
+        tile_m=2 * half,
+        cells=32 if board == "glossy" else 8,
+    )
+    add_material(spec, "print", print_texture(target, board, rng), *gloss)
+    add_shape(spec, "print", moved(sheet, world_from_target), "print")

@@ -1,0 +1,82 @@
+"""Which OpenGL draws without a screen: found once, before mujoco loads any."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+import subprocess
+import sys
+from typing import Any
+
+from contact_sim.errors import RenderError
+
+OFFSCREEN = ("egl", "osmesa")
+"""What is tried, in this order."""
+_MODULES = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa", "glfw": "mujoco.glfw"}
+_INSTALL = (
+    "install libegl1 and libegl-mesa0 for EGL, or libosmesa6 for OSMesa (Debian's and Ubuntu's "
+    "names), or set MUJOCO_GL to one that works"
+)
+_TRIAL = """
+import mujoco
+from {module} import GLContext
+context = GLContext(64, 64)
+context.make_current()
+model = mujoco.MjModel.from_xml_string("<mujoco/>")
+mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+"""
+_TRIAL_S = 60.0
+
+
+def open_context(width: int, height: int) -> Any:
+    """A GL context of mujoco's that needs no screen.
+
+    Raises:
+        RenderError: none works here; says what to install.
+    """
+    module = importlib.import_module(_MODULES[choose_gl()])
+    return module.GLContext(width, height)
+
+
+@functools.cache
+def choose_gl() -> str:
+    """The name of the OpenGL that works; MUJOCO_GL is set to it, and wins where a user set it.
+
+    Raises:
+        RenderError: none works; says why of each, and what to install.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if wanted and wanted not in _MODULES:
+        raise RenderError(f"MUJOCO_GL = {wanted!r} is none of {', '.join(_MODULES)}; {_INSTALL}")
+    failures = []
+    for name in (wanted,) if wanted else OFFSCREEN:
+        failure = _failure_of(name)
+        if not failure:
+            os.environ["MUJOCO_GL"] = name  # libmujoco reads it when it loads its GL
+            return name
+        failures.append(f"{name} ({failure})")
+    asked = "as MUJOCO_GL asks" if wanted else "without a screen"
+    raise RenderError(f"no OpenGL draws {asked}: {'; '.join(failures)}; {_INSTALL}")
+
+
+def _failure_of(name: str) -> str:
+    """Why one of them does not draw; empty: it does.
+
+    Tried in a process of its own: one that fails leaves its half-loaded library behind, and then
+    the next cannot be tried any more.
+    """
+    environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"}
+    environment["MUJOCO_GL"] = name
+    trial = [sys.executable, "-c", _TRIAL.format(module=_MODULES[name])]
+    try:
+        done = subprocess.run(
+            trial, env=environment, capture_output=True, text=True, timeout=_TRIAL_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"no answer within {_TRIAL_S:g} s"
+    if done.returncode == 0:
+        return ""
+    said = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    errors = [line for line in said if "Error" in line and not line.startswith("Exception ign")]
+    return (errors or said or [f"exit status {done.returncode}"])[-1][:160]
