@@ -1,8 +1,7 @@
 """A vehicle in memory, for tests and dry runs: it follows velocities late, and keeps the rules.
 
 Kinematic: the velocity and the yaw rate follow what is commanded with a first-order lag, solved
-exactly between two moments, so that it makes no difference how often it is looked at. The dead man
-and the order of modes are the real ones, except that the mode is there at once.
+exactly between two moments, so that it makes no difference how often it is looked at.
 """
 
 from __future__ import annotations
@@ -13,20 +12,12 @@ import threading
 import numpy as np
 
 from drone_client.autopilot import VehicleState, VelocityCommand
-from drone_client.autopilot.dead_man import (
-    DeadManSettings,
-    Refused,
-    Setpoint,
-    checked,
-    leaving,
-    stand_still,
-)
+from drone_client.autopilot.dead_man import DeadManSettings, Setpoint
+from drone_client.autopilot.offboard_rules import OffboardRules
 from drone_client.odometry import OdometrySample, RangeSample
 from rgbd_wire.clock import Clock
 from rgbd_wire.geometry import Array, Pose
 
-LOST_AFTER_NS = 500_000_000
-"""Without a setpoint for so long the vehicle holds its position by itself, as PX4's failsafe."""
 STEP_NS = 5_000_000
 
 
@@ -53,18 +44,12 @@ class SimulatedAutopilot:
         """
         if lag_s < 0.0:
             raise ValueError(f"lag_s = {lag_s} is negative")
-        self.mode = "POSCTL"
-        """Set it to switch the mode as a pilot does."""
-        self.armed = armed
-        self.failsafe = ""
         self.given_odometry: OdometrySample | None = None
         """The newest that was given."""
         self.given_range: RangeSample | None = None
-        self.refused = 0
-        """Commands that counted as none."""
+        self._rules = OffboardRules(armed=armed, dead_man=dead_man)
         self._clock = clock
         self._lag_s = lag_s
-        self._dead_man = dead_man or DeadManSettings()
         self._lock = threading.Lock()
         self._t_ns = clock.now_ns()
         self._position: Array = world_from_body.translation.copy()
@@ -72,29 +57,55 @@ class SimulatedAutopilot:
         self._yaw_rad = math.atan2(forward[1], forward[0])
         self._velocity: Array = np.zeros(3)
         self._yaw_rate_radps = 0.0
-        self._newest: Setpoint | None = None
+
+    @property
+    def mode(self) -> str:
+        """As pilots know it; set it to switch the mode as a pilot does."""
+        return self._rules.mode
+
+    @mode.setter
+    def mode(self, mode: str) -> None:
+        self._rules.mode = mode
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors run."""
+        return self._rules.armed
+
+    @armed.setter
+    def armed(self, armed: bool) -> None:
+        self._rules.armed = armed
+
+    @property
+    def failsafe(self) -> str:
+        """Which failsafe acts; empty: none."""
+        return self._rules.failsafe
+
+    @failsafe.setter
+    def failsafe(self, failsafe: str) -> None:
+        self._rules.failsafe = failsafe
+
+    @property
+    def refused(self) -> int:
+        """Commands that counted as none."""
+        return self._rules.refused
 
     def command(self, command: VelocityCommand) -> None:
         """Take the newest command; never blocks, never raises."""
         with self._lock:
             now_ns = self._clock.now_ns()
             self._move(now_ns)
-            newest_ns = None if self._newest is None else self._newest.t_ns
-            result = checked(command, now_ns, newest_ns, self._dead_man)
-            if isinstance(result, Refused):
-                self.refused += 1
-            else:
-                self._newest = result
+            self._rules.command(command, now_ns)
 
     @property
     def reason(self) -> str:
         """The mode is there at once."""
-        return "the mode is there" if self.mode == "OFFBOARD" else "not engaged"
+        return self._rules.reason
 
     @property
     def idle(self) -> bool:
         """Whether it is in another mode than ours."""
-        return self.mode != "OFFBOARD"
+        return self._rules.idle
 
     def state(self) -> VehicleState:
         """The state now."""
@@ -105,15 +116,15 @@ class SimulatedAutopilot:
             q_wxyz = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
             return VehicleState(
                 t_heard_ns=now_ns,
-                mode=self.mode,
-                armed=self.armed,
-                obeying=self.armed and self.mode == "OFFBOARD",
+                mode=self._rules.mode,
+                armed=self._rules.armed,
+                obeying=self._rules.obeying,
                 t_pose_ns=now_ns,
                 world_from_body=Pose(self._position, q_wxyz),
                 velocity_world=self._velocity.copy(),
                 battery_fraction=1.0,
-                landed=not self.armed,
-                failsafe=self.failsafe,
+                landed=not self._rules.armed,
+                failsafe=self._rules.failsafe,
             )
 
     def engage(self) -> None:
@@ -121,16 +132,13 @@ class SimulatedAutopilot:
         with self._lock:
             now_ns = self._clock.now_ns()
             self._move(now_ns)
-            self._newest = stand_still(now_ns)
-            self.failsafe = ""
-            self.mode = "OFFBOARD"
+            self._rules.engage(now_ns)
 
     def release(self) -> None:
         """Into the mode that holds the position."""
         with self._lock:
             self._move(self._clock.now_ns())
-            if self.mode == "OFFBOARD":
-                self.mode = "AUTO.LOITER"
+            self._rules.release()
 
     def give_odometry(self, sample: OdometrySample) -> None:
         """Keep it, for a test to look at."""
@@ -147,17 +155,8 @@ class SimulatedAutopilot:
         """Fly from the last moment to this one; the dead man is asked every 5 ms."""
         while self._t_ns < now_ns:
             step_ns = min(STEP_NS, now_ns - self._t_ns)
-            self._advance(self._wanted(), step_ns / 1e9)
+            self._advance(self._rules.wanted(self._t_ns), step_ns / 1e9)
             self._t_ns += step_ns
-
-    def _wanted(self) -> Setpoint:
-        still = stand_still(self._t_ns)
-        if self.mode != "OFFBOARD" or not self.armed:
-            return still
-        if self._newest is None or self._t_ns - self._newest.t_ns > LOST_AFTER_NS:
-            self.mode, self.failsafe = "AUTO.LOITER", "no setpoints"
-            return still
-        return leaving(self._newest, self._t_ns, self._dead_man) or still
 
     def _advance(self, wanted: Setpoint, dt_s: float) -> None:
         # dv/dt = (u - v) / T for a constant u: v moves towards u by 1 - exp(-dt/T), and the place
