@@ -84,7 +84,8 @@ def collect_odometry(source: RosOdometry, wanted: Sequence[str], clock: Clock) -
                 motion = Motion(
                     sample.t_ns, sample.world_from_body, sample.velocity_world, sample.resets
                 )
-                jump = watch.see(motion) or jump
+                seen_jump = watch.see(motion)
+                jump = jump or seen_jump
             else:
                 blind[kind] += not is_measured(sample)
         time.sleep(POLL_S)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 import ssl
 import subprocess
@@ -23,7 +24,7 @@ from drone_client.ros.names import ODOMETRY, RANGE, Flavour, key
 from tests.certificates import make_ending, make_ends
 from tests.integration.px4_process import PeerProcess
 from tests.service_process import free_port, free_udp_port, service_process
-from tests.unit.drone_client.builders import pose
+from tests.unit.drone_client.builders import SECOND, pose
 from tests.unit.drone_client.ros_robot import Robot, odometry_cdr, range_cdr
 
 ROOT = Path(__file__).parents[2]
@@ -43,14 +44,18 @@ def examined(*arguments: str) -> tuple[int, dict[tuple[str, str], dict]]:
 
 
 @contextmanager
-def robot(endpoint: str) -> Iterator[None]:
-    """VIO and a lidar that looks down, 50 times a second."""
+def robot(endpoint: str, hop_m: float = 0.0) -> Iterator[None]:
+    """VIO, which hops there or back every second, and a lidar that looks down; both at 50 Hz."""
     over, ros = threading.Event(), Robot(endpoint)
 
     def publish() -> None:
         while not over.wait(0.02):
             now_ns = time.time_ns()
-            vio = odometry_cdr(unix_ns=now_ns, body=pose((0, 0, FLOOR_M)), velocity=np.zeros(3))
+            vio = odometry_cdr(
+                unix_ns=now_ns,
+                body=pose((now_ns // SECOND % 2 * hop_m, 0, FLOOR_M)),
+                velocity=np.zeros(3),
+            )
             ros.put(key(Flavour.BRIDGE, "vio", ODOMETRY, 0), vio)
             ros.put(
                 key(Flavour.BRIDGE, "lidar", RANGE, 0), range_cdr(unix_ns=now_ns, distance=FLOOR_M)
@@ -176,10 +181,22 @@ def test_the_robots_own_sensors_are_heard(report):
     _, checks = report
     assert float(checks["odometry", "VIO rate"]["found"].split()[0]) > 5
     assert checks["odometry", "messages"]["finding"] == "ok"
+    assert "VIO jumps" in {name for _, name in checks}
     assert checks["odometry", "lidar down distance"]["found"].startswith("1.55 m")
     height = checks["vehicle", "height"]
     assert height["finding"] == "ok"
     assert height["found"] == "1.50 m by the estimate, 1.55 m by the lidar"
+
+
+def test_a_vio_that_jumps_is_a_fault():
+    """With how far it was and how far it can be."""
+    ros = f"tcp/127.0.0.1:{free_port()}"
+    with robot(ros, hop_m=0.2):
+        nobody = ("--connect", "tcp/127.0.0.1:1", "--wait-s", "0.1")
+        _, checks = examined("--ros-connect", ros, "--vio-topic", "vio", *nobody)
+    jumps = checks["odometry", "VIO jumps"]
+    assert jumps["finding"] == "fault"
+    assert re.search(r"jumped \((position|gap)\)", jumps["found"])  # a gap on a busy machine
 
 
 def test_two_targets_are_a_fault(report):
