@@ -109,6 +109,8 @@ class Simulation:
         """
         self.settings = settings or SimulationSettings()
         self.scene = scene
+        self.airframe = airframe
+        self.rig = rig
         self.vio: OdometrySample | None = None
         """The newest of the VIO; stamps here and below are simulated time."""
         self.height: RangeSample | None = None
