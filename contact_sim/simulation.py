@@ -39,6 +39,8 @@ CONTROL_STEPS = 2
 LEARNED = 0.98
 """So much of the IMU's biases the estimator knows at the start, in the air."""
 MAX_STEPS = 10_000_000
+FARTHEST_M = 1e4
+"""Nobody flies there, nor to where a place is no number."""
 MAX_COMMAND = 100.0
 """A velocity [m/s] or yaw rate [rad/s] beyond this is a fault, not a command."""
 
@@ -176,12 +178,15 @@ class Simulation:
             before = self._state
             mujoco.mj_step(self.model, self._data)
             self._state = self._read()
+            if not is_bounded(self._state.position, FARTHEST_M):
+                raise VehicleError(
+                    f"the physics diverged at {self.t_ns / 1e9:.3f} s: the drone is at "
+                    f"{self._state.position} m"
+                )
             if self._data.ncon or self.contacts.touches:
                 self.contacts.look(self._data, self.t_ns, self._motion(before))
             self._steps += 1
             self._sense()
-        if not np.isfinite(self._data.qpos).all():
-            raise VehicleError(f"the physics diverged before {self.t_ns / 1e9:.3f} s")
 
     def set_velocity(self, velocity_world: Array | Vec3, yaw_rate_radps: float) -> None:
         """What the vehicle flies from now on, until it is told otherwise.

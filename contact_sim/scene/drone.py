@@ -129,6 +129,8 @@ def _set_physics(spec: mujoco.MjSpec) -> None:
     # Round cones, and friction as stiff as the normal force: a pressed tip does not creep.
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0
+    # A state that is no number must be seen, and not be put back to the start in silence.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
 def _add_hull(body: mujoco.MjsBody, discs: tuple[BodyPart, ...]) -> None:

@@ -322,6 +322,14 @@ def test_a_command_that_is_none_is_refused(velocity, rate):
     sim.step(10)
 
 
+@pytest.mark.parametrize("at_m", [1e6, -1e6])
+def test_physics_that_diverge_are_an_error_and_no_new_start(at_m):
+    """A drone that is thrown out of the world is told, with when and where."""
+    sim = simulation(start=(at_m, 0.0, HEIGHT_M))
+    with pytest.raises(VehicleError, match=r"diverged at 0\.000 s: the drone is at"):
+        sim.step(5)
+
+
 def test_bad_requests_are_refused():
     """Steps that are no number of steps, a lamp that there is not, a seed that is none."""
     sim = simulation()
