@@ -77,6 +77,7 @@ class Flight:
             on_result=self._on_result,
             on_echo=lambda probe, t4_ns: self._uplink.echo(probe, t4_ns),
             on_status=lambda status: self._uplink.take_status(status),
+            budget=settings.odometry.budget,
         )
         self._own_eyes = self._open_eyes()
         choice = EncodingChoice(settings.rate, lambda: self._receiver.estimate)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import secrets
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from drone_client.cbf.settings import FilterSettings
 from drone_client.control import ControlSettings
 from drone_client.gate import GateSettings
+from drone_client.odometry.jump import JumpSettings
+from drone_client.odometry.lidar import LidarSettings
 from drone_client.rate_control import RateSettings
 from drone_client.settings import NS_PER_MS, ClientSettings
+from drone_client.target import USUAL_BUDGET, OdometryBudget
 from drone_client.uplink import UplinkSettings
 from target_pose.target import Target, load_round_target
 
@@ -24,6 +27,18 @@ class OwnEyesSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class OdometrySettings:
+    """How far what the drone knows of its own place is believed (docs/odometry.md)."""
+
+    budget: OdometryBudget = USUAL_BUDGET
+    jump: JumpSettings = field(default_factory=JumpSettings)
+    """Of the autopilot's own estimate, which the drone flies by."""
+    vio_jump: JumpSettings = field(default_factory=JumpSettings)
+    """Of the robot's VIO, before the autopilot gets it."""
+    lidar: LidarSettings = field(default_factory=LidarSettings)
+
+
+@dataclass(frozen=True, slots=True)
 class FlightSettings:
     """All that the parts of a run need."""
 
@@ -34,6 +49,7 @@ class FlightSettings:
     reply_timeout_ns: int
     own_eyes: OwnEyesSettings | None = None
     """None: without the edge the drone is blind."""
+    odometry: OdometrySettings = field(default_factory=OdometrySettings)
 
 
 def flight_settings(settings: ClientSettings) -> FlightSettings:

@@ -1,4 +1,4 @@
-"""Numbers of mission, guidance and safety filter from a TOML file; others keep their value."""
+"""Numbers of mission, guidance, safety filter and odometry from a TOML file; others stay."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from drone_client.control import ControlSettings
 from drone_client.errors import TuningError
+from drone_client.flight_settings import FlightSettings
 
 MAX_TUNING_BYTES = 65_536
+ODOMETRY = "odometry"
+"""The one table that is not of ``ControlSettings``."""
 
 NOT_FROM_A_FILE = frozenset(
     {
@@ -26,11 +28,12 @@ NOT_FROM_A_FILE = frozenset(
 """Set by the command line and its flags alone, or by nobody in flight."""
 
 
-def load_tuning(path: Path, settings: ControlSettings) -> ControlSettings:
-    """Settings with the numbers of a file in their place.
+def load_tuning(path: Path, parts: FlightSettings) -> FlightSettings:
+    """The parts of a flight with the numbers of a file in their place.
 
     Its tables are ``[mission]``, ``[mission.contact]``, ``[guidance]``, ``[filter]`` and so on, as
-    the settings are nested; every number is bounded where it is at home.
+    ``ControlSettings`` is nested, and ``[odometry.budget]`` and so on, as ``OdometrySettings`` is;
+    every number is bounded where it is at home.
 
     Raises:
         TuningError: with the path, the field at fault and what it may be.
@@ -40,27 +43,40 @@ def load_tuning(path: Path, settings: ControlSettings) -> ControlSettings:
             data = file.read(MAX_TUNING_BYTES + 1)
         if len(data) > MAX_TUNING_BYTES:
             raise TuningError(f"over {MAX_TUNING_BYTES} bytes")
-        tuned: ControlSettings = _with(settings, tomllib.loads(data.decode("utf-8")), "")
-        return tuned
+        table = tomllib.loads(data.decode("utf-8"))
+        odometry = _nested(parts.odometry, table.pop(ODOMETRY, {}), ODOMETRY)
+        control = _with(parts.control, table, "", beside=(ODOMETRY,))
+        drift_mps, covered_mps = odometry.budget.drift_mps, control.filter.drift_mps
+        if drift_mps > covered_mps:
+            raise TuningError(
+                f"odometry.budget.drift_mps = {drift_mps:g} exceeds filter.drift_mps = "
+                f"{covered_mps:g}: the error ball would not cover it; change both"
+            )
+        return replace(parts, control=control, odometry=odometry)
     except OSError as error:
         raise TuningError(f"tuning file {path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, TuningError) as error:
         raise TuningError(f"tuning file {path}: {error}") from None
 
 
-def _with(settings: Any, table: dict[str, Any], where: str) -> Any:
+def _nested(settings: Any, table: object, name: str) -> Any:
+    if not isinstance(table, dict):
+        raise TuningError(f"{name} must be a table [{name}]")
+    return _with(settings, table, f"{name}.")
+
+
+def _with(settings: Any, table: dict[str, Any], where: str, beside: tuple[str, ...] = ()) -> Any:
+    """The settings with a table's values; ``beside``: what else may stand there."""
     known = {field.name for field in fields(settings) if field.init}
     changes: dict[str, Any] = {}
     for key, value in table.items():
         name = f"{where}{key}"
         if key not in known or name in NOT_FROM_A_FILE:
-            may = sorted(k for k in known if f"{where}{k}" not in NOT_FROM_A_FILE)
+            may = sorted({*beside, *(k for k in known if f"{where}{k}" not in NOT_FROM_A_FILE)})
             raise TuningError(f"unknown {name[:80]!r}; known: {', '.join(may)}")
         now = getattr(settings, key)
         if is_dataclass(now):
-            if not isinstance(value, dict):
-                raise TuningError(f"{name} must be a table [{name}]")
-            changes[key] = _with(now, value, f"{name}.")
+            changes[key] = _nested(now, value, name)
         else:
             changes[key] = _like(now, value, name)
     try:

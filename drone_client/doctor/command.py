@@ -30,12 +30,16 @@ from drone_client.doctor.service import (
     collect_target,
     judge_service,
 )
+from drone_client.errors import ClientError
+from drone_client.flight_settings import flight_settings
 from drone_client.link.choose import link_summary, open_link
 from drone_client.odometry.choose import open_odometry
+from drone_client.odometry.jump import JumpSettings
 from drone_client.odometry.zenoh import RosOdometry
 from drone_client.ros.names import Flavour
 from drone_client.settings import ClientSettings, about, load_settings
 from drone_client.source.choose import open_live
+from drone_client.tuning import load_tuning
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.tls_files import tls_files
 from target_pose.errors import TargetError
@@ -146,7 +150,7 @@ def doctor(
         "machine": lambda: judge_machine(collect_machine(out), settings.uses_tunnel),
         "files": lambda: check_files(settings, airframe, camera, tuning),
         "vehicle": lambda: _vehicle(autopilot, settings, topics),
-        "odometry": lambda: _odometry(settings, topics),
+        "odometry": lambda: _odometry(settings, topics, tuning),
         "camera": lambda: _camera(source, camera),
         "service": lambda: _service(settings, url, wait_s),
     }
@@ -189,16 +193,27 @@ def _vehicle(address: str | None, settings: ClientSettings, topics: _Topics) -> 
         return judge_vehicle(collect_vehicle(vehicle, clock, is_px4, odometry), address)
 
 
-def _odometry(settings: ClientSettings, topics: _Topics) -> Sequence[Check]:
+def _odometry(settings: ClientSettings, topics: _Topics, tuning: Path | None) -> Sequence[Check]:
     clock = MonotonicClock()
     odometry = topics.open(settings, clock)
     if odometry is None:
         return [unchecked("odometry", "topics", "no --vio-topic, --lidar-topic, --ahead-topic")]
     try:
-        facts = collect_odometry(odometry, topics.wanted, clock)
+        jump = _vio_jump(settings, tuning)
+        facts = collect_odometry(odometry, topics.wanted, clock, jump)
     finally:
         odometry.close()
     return judge_odometry(facts, settings.ros_connect)
+
+
+def _vio_jump(settings: ClientSettings, tuning: Path | None) -> JumpSettings | None:
+    """As tuned; None: as usual, also where the file cannot be read."""
+    if tuning is None:
+        return None
+    try:
+        return load_tuning(tuning, flight_settings(settings)).odometry.vio_jump
+    except (ClientError, TargetError):  # told among the files
+        return None
 
 
 def _camera(source: str | None, camera: Path | None) -> Sequence[Check]:

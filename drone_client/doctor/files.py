@@ -115,7 +115,7 @@ def _target(settings: ClientSettings) -> Check:
 
 
 def _tuned(path: Path, settings: ClientSettings) -> Check:
-    load_tuning(path, flight_settings(settings).control)
+    load_tuning(path, flight_settings(settings))
     return ok(AREA, "tuning", f"{path}: every number is within its bounds")
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from drone_client.doctor.finding import Check, Finding, judged, ok
-from drone_client.odometry.jump import Jump, JumpWatch, Motion
+from drone_client.odometry.jump import Jump, JumpSettings, JumpWatch, Motion
 from drone_client.odometry.lidar import is_measured
 from drone_client.odometry.zenoh import RosOdometry
 from rgbd_wire.clock import Clock
@@ -53,13 +53,16 @@ class OdometryFacts:
     jumps: int = 0
 
 
-def collect_odometry(source: RosOdometry, wanted: Sequence[str], clock: Clock) -> OdometryFacts:
+def collect_odometry(
+    source: RosOdometry, wanted: Sequence[str], clock: Clock, settings: JumpSettings | None = None
+) -> OdometryFacts:
     """Listen for some seconds.
 
     Args:
         source: its session may still be on its way.
         wanted: which of odometry, height and ahead were asked for.
         clock: the drone's, that of the samples.
+        settings: what is a jump of the VIO.
     """
     give_up = time.monotonic() + HEARD_S
     while time.monotonic() < give_up and not all(source.taken[kind] for kind in wanted):
@@ -70,7 +73,7 @@ def collect_odometry(source: RosOdometry, wanted: Sequence[str], clock: Clock) -
     first = {kind: source.taken[kind] for kind in wanted}
     newest: dict[str, Any] = dict.fromkeys(wanted)
     oldest_ns, seen, blind = (dict.fromkeys(wanted, 0) for _ in range(3))
-    watch, jump = JumpWatch(), None
+    watch, jump = JumpWatch(settings), None
     start = time.monotonic()
     while time.monotonic() < start + WATCHED_S:
         for kind in wanted:
@@ -176,8 +179,8 @@ def _jumps(facts: OdometryFacts) -> Check:
         f"none within {WATCHED_S:g} s"
         if jump is None
         else f"{facts.jumps} within {WATCHED_S:g} s; {jump.sentence}",
-        "give it light and texture; a VIO that is noisier than 6 mm needs a larger "
-        "jump.position_m (docs/odometry.md)",
+        "give it light and texture; a VIO that is noisier than 6 mm needs a larger position_m in "
+        "[odometry.vio_jump] of the tuning file (docs/odometry.md)",
     )
 
 

@@ -57,7 +57,9 @@ def fly(
     ] = None,
     tuning: Annotated[
         Path | None,
-        typer.Option(help="TOML with numbers of mission, guidance and filter", show_default=False),
+        typer.Option(
+            help="TOML with numbers of mission, guidance, filter and odometry", show_default=False
+        ),
     ] = None,
     floor_m: Annotated[
         float | None,
@@ -144,7 +146,7 @@ def fly(
     body = load_airframe(airframe)
     parts = flight_settings(settings)
     if tuning is not None:
-        parts = replace(parts, control=load_tuning(tuning, parts.control))
+        parts = load_tuning(tuning, parts)
     if floor_m is not None and ceiling_m is not None and not floor_m < ceiling_m:
         raise AirframeError(
             f"--floor-m {floor_m:g} is not below --ceiling-m {ceiling_m:g}: both are heights"

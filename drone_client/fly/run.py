@@ -89,11 +89,19 @@ class _Run:
         self._ledger = ledger
         self._stopping = threading.Event()
         self._pump = threading.Thread(target=self._run_pump, name="camera", daemon=True)
-        self.feed = None if odometry is None else OdometryFeed(odometry, vehicle, self._on_vio_jump)
+        believed = parts.odometry
+        self.feed = (
+            None
+            if odometry is None
+            else OdometryFeed(
+                odometry, vehicle, self._on_vio_jump, believed.vio_jump, believed.lidar
+            )
+        )
         self._pose = VehiclePose(
             vehicle.state,
             lambda t_ns, pose: self.flight.keep_pose(t_ns, pose),
             self._on_jump,
+            believed.jump,
         )
         self.flight = Flight(
             parts,

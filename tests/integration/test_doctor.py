@@ -188,15 +188,21 @@ def test_the_robots_own_sensors_are_heard(report):
     assert height["found"] == "1.50 m by the estimate, 1.55 m by the lidar"
 
 
-def test_a_vio_that_jumps_is_a_fault():
+def test_a_vio_that_jumps_is_a_fault_unless_it_is_tuned_not_to_be(tmp_path):
     """With how far it was and how far it can be."""
     ros = f"tcp/127.0.0.1:{free_port()}"
+    bold = tmp_path / "tuning.toml"
+    bold.write_text("[odometry.vio_jump]\nposition_m = 0.5\nslide_m = 0.5\ngap_ns = 2000000000")
     with robot(ros, hop_m=0.2):
         nobody = ("--connect", "tcp/127.0.0.1:1", "--wait-s", "0.1")
-        _, checks = examined("--ros-connect", ros, "--vio-topic", "vio", *nobody)
+        heard = ("--ros-connect", ros, "--vio-topic", "vio", *nobody)
+        _, checks = examined(*heard)
+        _, tuned = examined(*heard, "--tuning", str(bold))
     jumps = checks["odometry", "VIO jumps"]
     assert jumps["finding"] == "fault"
     assert re.search(r"jumped \((position|gap)\)", jumps["found"])  # a gap on a busy machine
+    assert tuned["odometry", "VIO jumps"]["finding"] == "ok"
+    assert tuned["files", "tuning"]["finding"] == "ok"
 
 
 def test_two_targets_are_a_fault(report):

@@ -7,6 +7,7 @@ import logging
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -18,7 +19,7 @@ from drone_client.autopilot import VelocityCommand
 from drone_client.autopilot.memory import MemoryAutopilot
 from drone_client.errors import LinkError, SourceError
 from drone_client.flight import Flight
-from drone_client.flight_settings import flight_settings
+from drone_client.flight_settings import FlightSettings, OdometrySettings, flight_settings
 from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME, Fate, Ledger
 from drone_client.link.memory import MemoryLink
 from drone_client.link.waiting import wait_for_worker
@@ -27,6 +28,7 @@ from drone_client.run_report import SUMMARY_NAME
 from drone_client.settings import ClientSettings
 from drone_client.source import Capture
 from drone_client.source.memory import MemorySource
+from drone_client.target import OdometryBudget
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.frame_codec import unpack
 from rgbd_wire.geometry import Pose
@@ -110,6 +112,7 @@ class Rig:
         answer: Callable[[str, bytes], Sequence[bytes]] = lambda worker, message: (),
         autopilot: MemoryAutopilot | None = None,
         world_from_body: Callable[[int], Pose | None] = lambda now_ns: None,
+        parts: FlightSettings | None = None,
         **changes,
     ) -> None:
         self.folder = folder
@@ -124,7 +127,7 @@ class Rig:
 
         link = MemoryLink(CLOCK, answer_and_keep)
         self.flight = Flight(
-            flight_settings(patient(**changes)),
+            parts or flight_settings(patient(**changes)),
             AIRFRAME,
             link,
             self.autopilot,
@@ -272,6 +275,22 @@ def test_own_eyes_are_set_up_only_where_they_are_asked_for():
     assert parts.own_eyes.target.name == "bullseye-200"
     assert parts.own_eyes.alone_max_ns == 2_500 * MS
     assert parts.control.filter.unconfirmed_mps == 0.025
+
+
+def test_the_odometrys_budget_reaches_what_is_believed_of_the_target(tmp_path):
+    """A mounting that is known ten times worse makes the estimate as much worse."""
+    budget = OdometryBudget(sigma_m=0.02)
+    parts = replace(flight_settings(patient()), odometry=OdometrySettings(budget))
+    sigmas_m = []
+    for i, given in enumerate((None, parts)):
+        with Rig(tmp_path / str(i), answering(sees), parts=given) as rig:
+            rig.capture()
+            assert eventually(lambda rig=rig: rig.flight.receiver.estimate is not None)
+            estimate = rig.flight.receiver.estimate
+            sigmas_m.append(estimate.sigma_m)
+    assert estimate.budget == budget
+    usual, worse = (s**2 for s in sigmas_m)
+    np.testing.assert_allclose(worse - usual, 0.02**2 - 0.001**2, rtol=0.02)
 
 
 def test_a_result_makes_the_drone_close_in_and_stopping_makes_it_stand_still(tmp_path):

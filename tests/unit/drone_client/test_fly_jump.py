@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from drone_client.flight_settings import OdometrySettings
+from drone_client.fly.cockpit import View
 from drone_client.fly.run import FlyOptions, fly
 from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME
 from drone_client.mission import Phase
 from drone_client.odometry import OdometrySample, RangeSample
+from drone_client.odometry.jump import JumpSettings
+from drone_client.odometry.lidar import LidarSettings
 from drone_client.odometry.source import MemoryOdometry
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import FrameHeader, pose_of
@@ -81,17 +88,30 @@ def test_a_jump_brakes_and_is_written_down(tmp_path, phase: Phase):
     assert left["after"] == "retreat"
 
 
-def test_vio_and_lidars_go_to_the_autopilot_while_it_flies(tmp_path):
-    """Given on from the control side; a jump of the VIO is counted into it, brakes, and is told."""
-    scene = Scene(tmp_path)
+def end_soon_after(scene: Scene, jumped: Callable[[], bool]) -> None:
+    """Interrupt the flight, and once more, when it has been looked at ten times after a jump."""
+    look, views = scene.person.on_view, itertools.count()
+
+    def on_view(view: View) -> None:
+        look(view)
+        if jumped() and next(views) >= 10:
+            raise KeyboardInterrupt
+
+    scene.person.on_view = on_view
+
+
+def flown_beside_a_robot(scene: Scene, *, to_the_end: bool) -> dict[str, Any]:
+    """The summary of a flight; the robot's VIO jumps by 40 cm while it lines up."""
     robot = MemoryOdometry()
     stop, jumps_now = threading.Event(), threading.Event()
     scene.when(Phase.ALIGN, jumps_now.set)
+    if not to_the_end:
+        end_soon_after(scene, jumps_now.is_set)
 
     def run_robot() -> None:
         while not stop.wait(0.01):
             now_ns = CLOCK.now_ns()
-            where = pose((0.5, 0, 0)) if jumps_now.is_set() else pose()
+            where = pose((0.4, 0, 0)) if jumps_now.is_set() else pose()
             robot.newest_odometry = OdometrySample(now_ns, where, np.zeros(3))
             robot.newest_height = RangeSample(now_ns, 1.4)
             robot.newest_ahead = RangeSample(now_ns, 9.0, looks_down=False)
@@ -99,13 +119,13 @@ def test_vio_and_lidars_go_to_the_autopilot_while_it_flies(tmp_path):
     thread = threading.Thread(target=run_robot, daemon=True)
     thread.start()
     try:
-        summary = fly(
+        return fly(
             scene.camera,
             scene.vehicle,
             AIRFRAME,
             scene.settings,
             scene.parts,
-            FlyOptions(tmp_path, plot=False),
+            FlyOptions(scene.folder, plot=False),
             scene.link,
             CLOCK,
             scene.person,
@@ -114,6 +134,12 @@ def test_vio_and_lidars_go_to_the_autopilot_while_it_flies(tmp_path):
     finally:
         stop.set()
         thread.join()
+
+
+def test_vio_and_lidars_go_to_the_autopilot_while_it_flies(tmp_path):
+    """Given on from the control side; a jump of the VIO is counted into it, brakes, and is told."""
+    scene = Scene(tmp_path)
+    summary = flown_beside_a_robot(scene, to_the_end=True)
     assert scene.vehicle.given_odometry.resets >= 1
     assert scene.vehicle.given_range is not None
     assert summary["odometry"]["odometry_given"] > 10
@@ -122,3 +148,29 @@ def test_vio_and_lidars_go_to_the_autopilot_while_it_flies(tmp_path):
     assert not [e for e in events if e["event"] == "odometry_jumped"]
     brake = next(e for e in events if e.get("after") == "brake")
     assert brake["reason"] == "odometry_jumped"
+
+
+def test_what_is_a_jump_and_when_a_distance_is_believed_is_as_tuned(tmp_path):
+    """A VIO that may be half a metre off has not jumped; a lidar of one sample is taken at once."""
+    scene = Scene(tmp_path)
+    bold = JumpSettings(position_m=0.5, slide_m=0.5)
+    tuned = OdometrySettings(vio_jump=bold, lidar=LidarSettings(window=1))
+    scene.parts = replace(scene.parts, odometry=tuned)
+    summary = flown_beside_a_robot(scene, to_the_end=False)
+    assert summary["odometry"]["odometry_jumps"] == 0
+    assert scene.vehicle.given_odometry.world_from_body.translation[0] == 0.4
+    assert "height_undecided" not in summary["odometry"]
+    assert summary["odometry"]["odometry_given"] > 10
+    assert not [e for e in scene.lines(EVENTS_NAME) if e["event"] == "vio_jumped"]
+
+
+def test_the_jumps_of_the_pose_that_it_flies_by_are_as_tuned(tmp_path):
+    """What was a jump is none any more: nothing brakes for it, the measurements correct it."""
+    scene = AstrayScene(tmp_path, Astray())
+    bold = JumpSettings(position_m=0.5, slide_m=0.5)
+    scene.parts = replace(scene.parts, odometry=OdometrySettings(jump=bold))
+    scene.when(Phase.ALIGN, scene.vehicle.jump)
+    end_soon_after(scene, lambda: scene.vehicle.jumped_ns is not None)
+    scene.fly()
+    assert scene.vehicle.jumped_ns is not None
+    assert not [e for e in scene.lines(EVENTS_NAME) if e["event"] == "odometry_jumped"]

@@ -8,32 +8,39 @@ from pathlib import Path
 
 import pytest
 
-from drone_client.control import ControlSettings
 from drone_client.errors import TuningError
+from drone_client.flight_settings import FlightSettings, flight_settings
+from drone_client.settings import ClientSettings
 from drone_client.tuning import NOT_FROM_A_FILE, load_tuning
 
-SETTINGS = ControlSettings()
+PARTS = flight_settings(ClientSettings())
 SHIPPED = Path(__file__).parents[3] / "examples" / "tuning.toml"
 
 
-def tuned(tmp_path: Path, text: str) -> ControlSettings:
+def tuned(tmp_path: Path, text: str) -> FlightSettings:
     path = tmp_path / "tuning.toml"
     path.write_text(text)
-    return load_tuning(path, SETTINGS)
+    return load_tuning(path, PARTS)
 
 
 def test_what_is_written_is_taken_and_the_rest_stays(tmp_path: Path):
     """Nested tables reach nested settings; a whole number may stand for a broken one."""
-    new = tuned(
+    parts = tuned(
         tmp_path,
         "[mission]\ndwell_s = 3\nattempts = 2\n"
-        "[filter]\nv_max_mps = 0.3\n[filter.funnel]\nr_c_m = 0.03",
+        "[filter]\nv_max_mps = 0.3\n[filter.funnel]\nr_c_m = 0.03\n"
+        "[odometry.jump]\nposition_m = 0.07\n[odometry.lidar]\nwindow = 7",
     )
+    new = parts.control
     assert (new.mission.dwell_s, new.mission.attempts) == (3.0, 2)
     assert (new.filter.v_max_mps, new.filter.funnel.r_c_m) == (0.3, 0.03)
-    assert new.filter.funnel.a == SETTINGS.filter.funnel.a
-    assert new.guidance == SETTINGS.guidance
-    assert tuned(tmp_path, "") == SETTINGS
+    assert new.filter.funnel.a == PARTS.control.filter.funnel.a
+    assert new.guidance == PARTS.control.guidance
+    assert (parts.odometry.jump.position_m, parts.odometry.lidar.window) == (0.07, 7)
+    assert parts.odometry.vio_jump == PARTS.odometry.vio_jump
+    assert parts.odometry.budget == PARTS.odometry.budget
+    assert (parts.gate, parts.uplink) == (PARTS.gate, PARTS.uplink)
+    assert tuned(tmp_path, "") == PARTS
 
 
 @pytest.mark.parametrize(
@@ -50,6 +57,15 @@ def test_what_is_written_is_taken_and_the_rest_stays(tmp_path: Path):
         ("[filter]\nvariant = 'paper'", "unknown 'filter.variant'"),
         ("[filter]\nallow_unsafe_variant = true", "unknown 'filter.allow_unsafe_variant'"),
         ("[mission]\nneeds_vehicle = false", "unknown 'mission.needs_vehicle'"),
+        ("[odometr]", "unknown 'odometr'; known: filter, guidance, mission, odometry"),
+        ("odometry = 3", "odometry must be a table [odometry]"),
+        ("[odometry]\njump = 3", "odometry.jump must be a table [odometry.jump]"),
+        ("[odometry.jumps]", "unknown 'odometry.jumps'; known: budget, jump, lidar, vio_jump"),
+        ("[odometry.jump]\nposition_m = 3", "JumpSettings.position_m = 3.0 is not in"),
+        ("[odometry.lidar]\nwindow = 4", "window = 4 is not odd"),
+        ("[odometry.budget]\nsigma_m = 0", "OdometryBudget.sigma_m = 0.0 is not in"),
+        ("[odometry.budget]\ndrift_mps = 0.02", "exceeds filter.drift_mps = 0.01: "),
+        ("[filter]\ndrift_mps = 0.005", "exceeds filter.drift_mps = 0.005: "),
         ("[mission", "Expected"),
         ("x" * 70_000, "over 65536 bytes"),
     ],
@@ -65,12 +81,12 @@ def test_a_mistake_is_one_line(tmp_path: Path, text: str, why: str):
 def test_a_missing_file_is_one_line(tmp_path: Path):
     """The path and the system's reason."""
     with pytest.raises(TuningError, match="nowhere.toml: No such file"):
-        load_tuning(tmp_path / "nowhere.toml", SETTINGS)
+        load_tuning(tmp_path / "nowhere.toml", PARTS)
 
 
 def test_the_example_holds_every_number_at_its_default():
     """So that it can be copied and changed; nothing that can be tuned is missing in it."""
-    assert load_tuning(SHIPPED, SETTINGS) == SETTINGS
+    assert load_tuning(SHIPPED, PARTS) == PARTS
     written = tomllib.loads(SHIPPED.read_text())
 
     def every(settings: object, table: dict, where: str = "") -> None:
@@ -85,4 +101,11 @@ def test_the_example_holds_every_number_at_its_default():
             elif isinstance(value, int | float):
                 assert field.name in table, name
 
-    every(SETTINGS, written)
+    every(PARTS.control, written)
+    every(PARTS.odometry, written["odometry"], "odometry.")
+
+
+def test_more_drift_is_taken_where_the_error_ball_covers_it(tmp_path: Path):
+    """Both numbers together, in the file that names both."""
+    parts = tuned(tmp_path, "[odometry.budget]\ndrift_mps = 0.03\n[filter]\ndrift_mps = 0.04")
+    assert parts.odometry.budget.drift_mps == 0.03
