@@ -54,9 +54,13 @@ class ParameterReader:
         end_ns = self._clock.now_ns() + round(timeout_s * 1e9)
         with self._one_at_a_time, self._changed:
             self._wanted, self._values = set(wanted), {}
+            asked = dict.fromkeys(wanted, 0)
             while len(self._values) < len(wanted) and self._clock.now_ns() < end_ns:
-                batch = [n for n in wanted if n not in self._values][:BATCH]
+                missing = (n for n in wanted if n not in self._values)
+                # Least asked first: some that are never answered keep nobody else from being asked
+                batch = sorted(missing, key=lambda n: asked[n])[:BATCH]
                 for name in batch:
+                    asked[name] += 1
                     self._ask(name)
                 left_s = (end_ns - self._clock.now_ns()) / 1e9
                 self._changed.wait_for(
