@@ -14,13 +14,13 @@ level, the same upright, angle and gyro bias; not between these three groups.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from contact_sim.sensing.imu import ImuSample
+from contact_sim.vehicle.covariance import AngleCovariance, AxisCovariance
+from contact_sim.vehicle.history import Believed, History
 from contact_sim.vehicle.quaternion import (
     Quaternion,
     conjugate,
@@ -36,8 +36,6 @@ from drone_client.odometry import OdometrySample, RangeSample
 from rgbd_wire.geometry import Array, Pose
 
 GRAVITY_MPS2 = 9.81
-HISTORY = 100
-"""Believed states that are kept for late samples: 0.4 s at 250 Hz."""
 
 _BOUNDS: dict[str, tuple[float, float]] = {
     "ekf2_acc_noise": (0.01, 1.0),
@@ -108,53 +106,6 @@ class Estimate:
     """Standard deviation of each level coordinate, as it believes."""
 
 
-class _Axis:
-    """Covariance of place, velocity and acceleration bias along one axis."""
-
-    __slots__ = ("bb", "pb", "pp", "pv", "vb", "vv")
-
-    def __init__(self, sigma_m: float, sigma_mps: float, sigma_mps2: float) -> None:
-        self.pp, self.vv, self.bb = sigma_m**2, sigma_mps**2, sigma_mps2**2
-        self.pv = self.pb = self.vb = 0.0
-
-    def propagate(self, dt_s: float, q_v: float, q_b: float) -> None:
-        """A time later: p' = p + v dt, v' = v + (a - b) dt."""
-        pv, vv, pb, vb, bb = self.pv, self.vv, self.pb, self.vb, self.bb
-        self.pp += dt_s * (2.0 * pv + dt_s * vv)
-        self.pv = pv + dt_s * (vv - pb - dt_s * vb)
-        self.pb = pb + dt_s * vb
-        self.vv = vv - dt_s * (2.0 * vb - dt_s * bb) + q_v * dt_s
-        self.vb = vb - dt_s * bb
-        self.bb = bb + q_b * dt_s
-
-    def correct(self, variance: float) -> Vec3:
-        """Take a measured place of this variance; gains of place, velocity and bias."""
-        k = 1.0 / (self.pp + variance)
-        kp, kv, kb = k * self.pp, k * self.pv, k * self.pb
-        pv, pb = self.pv, self.pb
-        self.pp *= 1.0 - kp
-        self.pv = (1.0 - kp) * pv
-        self.pb = (1.0 - kp) * pb
-        self.vv -= kv * pv
-        self.vb -= kv * pb
-        self.bb -= kb * pb
-        return kp, kv, kb
-
-    def place_known(self, variance: float) -> None:
-        """Forget what was believed of the place."""
-        self.pp, self.pv, self.pb = variance, 0.0, 0.0
-
-
-class _Believed(NamedTuple):
-    """The state at a time, and the sum of all corrections until then."""
-
-    t_ns: int
-    position: Vec3
-    q: Quaternion
-    moved: Vec3
-    turned: Vec3
-
-
 class Estimator:
     """Carried on by ``propagate``, corrected by ``feed``. Not thread-safe."""
 
@@ -190,17 +141,16 @@ class Estimator:
         """Samples that did not fit, came too late or were no numbers."""
         self._gyro_bias = gyro_bias
         self._accel_bias = accel_bias
-        self._level = _Axis(0.005, 0.02, 0.01)
-        self._upright = _Axis(0.005, 0.02, 0.01)
-        # of the angle, its gyro bias, and both
-        self._aa, self._gg, self._ag = 0.005**2, 0.0005**2, 0.0
+        self._level = AxisCovariance(0.005, 0.02, 0.01)
+        self._upright = AxisCovariance(0.005, 0.02, 0.01)
+        self._angle = AngleCovariance(0.005, 0.0005)
         self._moved: Vec3 = ZERO
         self._turned: Vec3 = ZERO
         self._fused_ns = t_ns
         self._source_resets: int | None = None
         self._ground_m: float | None = None
-        self._past: deque[_Believed] = deque(maxlen=HISTORY)
-        self._remember()
+        self._history = History()
+        self._history.remember(self._now())
 
     def estimate(self) -> Estimate:
         """What is believed now."""
@@ -246,18 +196,17 @@ class Estimator:
         q_b = s.ekf2_acc_b_noise**2 * s.filter_period_s
         self._level.propagate(dt_s, q_v, q_b)
         self._upright.propagate(dt_s, q_v, q_b)
-        self._aa += (
-            dt_s * (dt_s * self._gg - 2.0 * self._ag)
-            + s.ekf2_gyr_noise**2 * s.filter_period_s * dt_s
+        self._angle.propagate(
+            dt_s,
+            s.ekf2_gyr_noise**2 * s.filter_period_s,
+            s.ekf2_gyr_b_noise**2 * s.filter_period_s,
         )
-        self._ag -= dt_s * self._gg
-        self._gg += s.ekf2_gyr_b_noise**2 * s.filter_period_s * dt_s
         self.t_ns = t_ns
-        self._remember()
+        self._history.remember(self._now())
 
     def feed(self, sample: OdometrySample) -> None:
         """Take a pose of the VIO; one that is no number, or older than what is kept, is refused."""
-        then = self._at(sample.t_ns)
+        then = self._history.at(sample.t_ns)
         if then is None or not np.isfinite(sample.velocity_world).all():
             self.refused += 1
             return
@@ -290,7 +239,7 @@ class Estimator:
         """Take a distance to the ground, where the height comes from it."""
         if not (self.settings.height_by_lidar and sample.looks_down and sample.valid):
             return
-        then = self._at(sample.t_ns)
+        then = self._history.at(sample.t_ns)
         w, x, y, z = self.q
         upright = 1.0 - 2.0 * (x * x + y * y)
         if then is None or upright < 0.7:
@@ -314,7 +263,7 @@ class Estimator:
         if not s.height_by_lidar and off[2] * off[2] > upright:
             return False
         x, y, z = turn
-        angle = s.ekf2_hdg_gate**2 * (self._aa + s.ekf2_eva_noise_rad**2)
+        angle = s.ekf2_hdg_gate**2 * (self._angle.aa + s.ekf2_eva_noise_rad**2)
         return x * x + y * y + z * z <= angle
 
     def _fuse(self, off: Vec3, turn: Vec3) -> None:
@@ -326,11 +275,7 @@ class Estimator:
         if not s.height_by_lidar:
             up, uv, ub = self._upright.correct(variance)
         self._move((kp * x, kp * y, up * z), (kv * x, kv * y, uv * z), (kb * x, kb * y, ub * z))
-        spread = 1.0 / (self._aa + s.ekf2_eva_noise_rad**2)
-        ka, kg, ag = self._aa * spread, self._ag * spread, self._ag
-        self._aa *= 1.0 - ka
-        self._ag *= 1.0 - ka
-        self._gg -= kg * ag
+        ka, kg = self._angle.correct(s.ekf2_eva_noise_rad**2)
         a, b, c = turn
         bias = rotate_back(self.q, (kg * a, kg * b, kg * c))
         gx, gy, gz = self._gyro_bias
@@ -365,37 +310,12 @@ class Estimator:
         self._level.place_known(variance)
         if not self.settings.height_by_lidar:
             self._upright.place_known(variance)
-        self._aa, self._ag = self.settings.ekf2_eva_noise_rad**2, 0.0
+        self._angle.angle_known(self.settings.ekf2_eva_noise_rad**2)
         self._fused_ns = self.t_ns
-        self._past.clear()
-        self._remember()
+        self._history.begin(self._now())
 
-    def _remember(self) -> None:
-        self._past.append(_Believed(self.t_ns, self.position, self.q, self._moved, self._turned))
-
-    def _at(self, t_ns: int) -> _Believed | None:
-        """What was believed at a time; None: it is too long ago."""
-        past = self._past
-        if t_ns >= past[-1].t_ns:
-            return past[-1]
-        later = past[-1]
-        for i in range(len(past) - 2, -1, -1):
-            earlier = past[i]
-            if earlier.t_ns <= t_ns:
-                return _between(earlier, later, t_ns)
-            later = earlier
-        return None
-
-
-def _between(a: _Believed, b: _Believed, t_ns: int) -> _Believed:
-    """The nearer state's attitude and corrections, and the place in between."""
-    s = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
-    near = a if s < 0.5 else b
-    # Corrections are no motion: both places are taken with those of the nearer one.
-    ax, ay, az = (p - m + n for p, m, n in zip(a.position, a.moved, near.moved, strict=True))
-    bx, by, bz = (p - m + n for p, m, n in zip(b.position, b.moved, near.moved, strict=True))
-    place = ax + s * (bx - ax), ay + s * (by - ay), az + s * (bz - az)
-    return _Believed(t_ns, place, near.q, near.moved, near.turned)
+    def _now(self) -> Believed:
+        return Believed(self.t_ns, self.position, self.q, self._moved, self._turned)
 
 
 def _vec3(v: Array) -> Vec3:

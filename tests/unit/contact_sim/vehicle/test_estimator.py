@@ -1,4 +1,4 @@
-"""The estimator: carries on, corrects, refuses, starts again; against a full matrix filter."""
+"""The estimator: carries on, corrects, refuses, starts again."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from contact_sim.sensing.imu import ImuSample
-from contact_sim.vehicle.estimator import Estimator, EstimatorSettings, _Axis
+from contact_sim.vehicle.estimator import Estimator, EstimatorSettings
 from drone_client.odometry import OdometrySample, RangeSample
 from rgbd_wire.geometry import Pose
 from tests.unit.drone_client.builders import MS, SECOND, pose
@@ -55,23 +55,6 @@ def test_a_right_imu_alone_carries_it_round_a_circle():
     assert e.position == pytest.approx((2.0, 0.0, 1.0), abs=1e-3)
     assert e.velocity == pytest.approx((0.0, 2.0, 0.0), abs=1e-3)
     assert np.abs(e.q) == pytest.approx([1.0, 0.0, 0.0, 0.0], abs=1e-6)
-
-
-def test_the_covariance_is_that_of_a_matrix_filter():
-    """Place, velocity and bias along one axis: the same numbers as numpy's Kalman filter."""
-    axis = _Axis(0.01, 0.02, 0.05)
-    p = np.diag([0.01, 0.02, 0.05]) ** 2
-    f = np.array([[1.0, DT_S, 0.0], [0.0, 1.0, -DT_S], [0.0, 0.0, 1.0]])
-    h = np.array([[1.0, 0.0, 0.0]])
-    for k in range(500):
-        axis.propagate(DT_S, 1e-3, 1e-7)
-        p = f @ p @ f.T + np.diag([0.0, 1e-3 * DT_S, 1e-7 * DT_S])
-        if k % 5 == 0:
-            gain = (p @ h.T / (h @ p @ h.T + 9e-4))[:, 0]
-            assert axis.correct(9e-4) == pytest.approx(tuple(gain), rel=1e-9)
-            p = (np.eye(3) - np.outer(gain, h)) @ p
-        kept = [axis.pp, axis.pv, axis.pb, axis.vv, axis.vb, axis.bb]
-        assert kept == pytest.approx(p[np.triu_indices(3)].tolist(), rel=1e-8)
 
 
 def test_biases_of_the_imu_are_learned():
