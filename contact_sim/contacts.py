@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from contact_sim.errors import VehicleError
-from drone_client.cbf.vector import Vec3
+from contact_sim.vehicle.body import Motion
 
 TIP = "drone/tip"
 BOARD = "board"
@@ -117,24 +117,3 @@ class Contacts:
         if len(self.impacts) < KEPT_IMPACTS:
             self.impacts.append(Impact(t_ns, name, self._names[other], speed))
         self.worst_impact_mps[name] = max(speed, self.worst_impact_mps.get(name, 0.0))
-
-
-class Motion(NamedTuple):
-    """How the drone moves at a moment."""
-
-    position_world: Vec3
-    velocity_world: Vec3
-    spin_world: Vec3
-    """[rad/s]"""
-    arm_world: Vec3
-    """Direction in which the arm's coordinate grows."""
-    arm_mps: float
-
-    def point_velocity(self, place_world: Vec3, *, on_arm: bool) -> Vec3:
-        """Velocity [m/s] of what is at a place, of the body or of the arm's sliding part."""
-        x, y, z = (p - o for p, o in zip(place_world, self.position_world, strict=True))
-        a, b, c = self.spin_world
-        u, v, w = self.velocity_world
-        k = self.arm_mps if on_arm else 0.0
-        d, e, f = self.arm_world
-        return u + b * z - c * y + k * d, v + c * x - a * z + k * e, w + a * y - b * x + k * f

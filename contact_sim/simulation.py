@@ -14,16 +14,16 @@ import mujoco
 import numpy as np
 
 from contact_sim.chance import stream
-from contact_sim.contacts import Contacts, Motion, Touch
+from contact_sim.contacts import TIP, Contacts, Touch
 from contact_sim.errors import VehicleError
 from contact_sim.scene import Scene, Snapshot
-from contact_sim.scene.drone import MASS_KG, TIMESTEP_S, TIP_RADIUS_M, add_drone, rotor_places
+from contact_sim.scene.drone import MASS_KG, TIMESTEP_S, add_drone, rotor_places
 from contact_sim.sensing.imu import Imu, ImuSettings
 from contact_sim.sensing.lidar import Lidar, LidarSettings
 from contact_sim.sensing.vio import Moving, Vio, VioSettings
 from contact_sim.vehicle import velocity_loop
+from contact_sim.vehicle.body import Body
 from contact_sim.vehicle.estimator import Estimate, Estimator, EstimatorSettings
-from contact_sim.vehicle.quaternion import Quaternion, from_vector, product, rotate
 from contact_sim.vehicle.rotors import MAX_THRUST_N, Mixer
 from contact_sim.vehicle.velocity_loop import Craft, LoopSettings, LoopState, Sensed, Setpoint
 from contact_sim.vehicle.wind import Wind, WindSettings
@@ -124,11 +124,10 @@ class Simulation:
         self.model = spec.compile()
         """Of world and drone; a renderer draws it with a state of its own, from snapshots."""
         self._data = mujoco.MjData(self.model)
-        self._find()
+        self._body = Body(self.model, self._data)
         self._mixer = Mixer.of(rotor_places(airframe))
         self._craft = Craft(MASS_KG, 4.0 * MAX_THRUST_N, self._mixer.authority_nm)
-        hover_n = 0.25 * MASS_KG * velocity_loop.GRAVITY_MPS2
-        self._data.act[self._rotors] = self._data.ctrl[self._rotors] = hover_n
+        self._body.spin_up(0.25 * MASS_KG * velocity_loop.GRAVITY_MPS2)
         mujoco.mj_forward(self.model, self._data)
 
         self._steps = 0
@@ -140,7 +139,7 @@ class Simulation:
         # Whoever hovered until now has learned to lean against the wind.
         self._loop = LoopState(velocity_integral=_scaled(drag, -1.0 / MASS_KG))
         self._imu = Imu(self.settings.imu, stream(seed, "imu"))
-        self._state = self._read()
+        self._state = self._body.read()
         self._sampled = self._state
         start = self._moving()
         self.vio_camera = Vio(self.settings.vio, stream(seed, "vio"), start)
@@ -177,14 +176,14 @@ class Simulation:
                 self._control()
             before = self._state
             mujoco.mj_step(self.model, self._data)
-            self._state = self._read()
-            if not is_bounded(self._state.position, FARTHEST_M):
+            self._state = self._body.read()
+            if not is_bounded(self._state.position_world, FARTHEST_M):
                 raise VehicleError(
                     f"the physics diverged at {self.t_ns / 1e9:.3f} s: the drone is at "
-                    f"{self._state.position} m"
+                    f"{self._state.position_world} m"
                 )
             if self._data.ncon or self.contacts.touches:
-                self.contacts.look(self._data, self.t_ns, self._motion(before))
+                self.contacts.look(self._data, self.t_ns, self._body.motion(before))
             self._steps += 1
             self._sense()
 
@@ -234,19 +233,17 @@ class Simulation:
     @property
     def truth(self) -> Truth:
         """How it really is."""
-        position, q, velocity, rates, arm_m, _ = self._state
-        pose = Pose(np.array(position), np.array(q))
-        tip_body = self._tip_body + arm_m * self._arm_axis
+        state = self._state
         return Truth(
             self.t_ns,
-            pose,
-            np.array(velocity),
-            np.array(rates),
-            pose @ tip_body,
-            -arm_m,
+            state.world_from_body,
+            np.array(state.velocity_world),
+            np.array(state.rates_body),
+            self._body.tip_world(state),
+            -state.arm_m,
             self.contacts.tip_force_n,
             self.contacts.touches,
-            self.contacts.worst_impact_mps.get("drone/tip", 0.0),
+            self.contacts.worst_impact_mps.get(TIP, 0.0),
             self._wind_world,
         )
 
@@ -254,44 +251,9 @@ class Simulation:
         """All that a picture of now depends on; a copy, for a renderer in any thread."""
         return Snapshot(self.t_ns, self._data.qpos.copy(), self._lamps_out)
 
-    def _find(self) -> None:
-        """Where the drone's numbers are in the model's."""
-        model = self.model
-        free, arm = model.joint("drone/free"), model.joint("drone/arm")
-        self._at_q, self._at_v = int(free.qposadr[0]), int(free.dofadr[0])
-        self._at_arm_q, self._at_arm_v = int(arm.qposadr[0]), int(arm.dofadr[0])
-        self._body = int(model.body("drone").id)
-        self._rotors = [int(model.actuator(f"drone/rotor_{i}").id) for i in range(4)]
-        slider = model.body("drone/slider")
-        self._arm_axis: Array = model.jnt_axis[arm.id].copy()
-        self._tip_body: Array = slider.pos + TIP_RADIUS_M * self._arm_axis
-        x, y, z = self._arm_axis.tolist()
-        self._arm_axis_body: Vec3 = (x, y, z)
-
-    def _read(self) -> _State:
-        q, v = self._data.qpos.tolist(), self._data.qvel.tolist()
-        i, j = self._at_q, self._at_v
-        return _State(
-            (q[i], q[i + 1], q[i + 2]),
-            (q[i + 3], q[i + 4], q[i + 5], q[i + 6]),
-            (v[j], v[j + 1], v[j + 2]),
-            (v[j + 3], v[j + 4], v[j + 5]),
-            q[self._at_arm_q],
-            v[self._at_arm_v],
-        )
-
     def _moving(self) -> Moving:
         s = self._state
-        return Moving(self.t_ns, s.position, s.q, s.velocity)
-
-    def _motion(self, s: _State) -> Motion:
-        return Motion(
-            s.position,
-            s.velocity,
-            rotate(s.q, s.rates),
-            rotate(s.q, self._arm_axis_body),
-            s.arm_mps,
-        )
+        return Moving(self.t_ns, s.position_world, s.q_world_from_body, s.velocity_world)
 
     def _control(self) -> None:
         """IMU, estimator, velocity loop, rotors; and the wind until the next time."""
@@ -299,25 +261,15 @@ class Simulation:
         now, before = self._state, self._sampled
         estimator = self._estimator
         if self._steps > 0:
-            px, py, pz = before.rates
-            qx, qy, qz = now.rates
-            rates = 0.5 * (px + qx), 0.5 * (py + qy), 0.5 * (pz + qz)
-            half = 0.5 * dt_s
-            turn = half * rates[0], half * rates[1], half * rates[2]
-            middle = product(before.q, from_vector(turn))
-            gained = tuple(a - b for a, b in zip(now.velocity, before.velocity, strict=True))
-            estimator.propagate(
-                self.t_ns,
-                self._imu.sample(middle, gained, rates, dt_s),  # type: ignore[arg-type]
-            )
+            estimator.propagate(self.t_ns, self._imu.sample(before, now, dt_s))
         self._sampled = now
         sensed = Sensed(estimator.q, estimator.velocity, estimator.acceleration, estimator.rates)
         self._loop, effort = velocity_loop.step(
             self._loop, self._setpoint, sensed, dt_s, self.settings.loop, self._craft
         )
-        self._data.ctrl[self._rotors] = self._mixer.thrusts(effort)
+        self._body.lift(self._mixer.thrusts(effort))
         self._wind_world = self.wind.step(dt_s)
-        self._data.xfrc_applied[self._body, :3] = self.wind.drag(self._wind_world, now.velocity)
+        self._body.push(self.wind.drag(self._wind_world, now.velocity_world))
 
     def _sense(self) -> None:
         """What the sensors measure at the end of a step, and what comes out of them."""
@@ -332,23 +284,14 @@ class Simulation:
         if t_ns >= self._lidar_due_ns:
             self._lidar_due_ns += self.settings.lidar.period_ns
             s = self._state
-            self.height = self._down.measure(self._data, t_ns, s.position, s.q)
-            self.ahead = self._forward.measure(self._data, t_ns, s.position, s.q)
+            self.height = self._down.measure(
+                self._data, t_ns, s.position_world, s.q_world_from_body
+            )
+            self.ahead = self._forward.measure(
+                self._data, t_ns, s.position_world, s.q_world_from_body
+            )
             if self.settings.feeds_itself:
                 self._estimator.feed_range(self.height)
-
-
-class _State(NamedTuple):
-    """The drone's own numbers in the physics."""
-
-    position: Vec3
-    q: Quaternion
-    velocity: Vec3
-    rates: Vec3
-    """In the body [rad/s]."""
-    arm_m: float
-    """Negative: pressed in."""
-    arm_mps: float
 
 
 def _scaled(v: Vec3, k: float) -> Vec3:

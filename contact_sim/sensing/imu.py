@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from contact_sim.noise import normals
-from contact_sim.vehicle.quaternion import Quaternion, rotate_back
+from contact_sim.vehicle.body import BodyState
+from contact_sim.vehicle.quaternion import from_vector, product, rotate_back
 from drone_client.bounds import check_bounds
 from drone_client.cbf.vector import Vec3
 
@@ -80,23 +81,23 @@ class Imu:
         p, q, r = self._gyro_bias
         return (a, b, c), (p, q, r)
 
-    def sample(
-        self,
-        q_world_from_body: Quaternion,
-        gained_world: Vec3,
-        rates_body: Vec3,
-        dt_s: float,
-    ) -> ImuSample:
-        """The sample of a time that is over.
+    def sample(self, before: BodyState, now: BodyState, dt_s: float) -> ImuSample:
+        """The sample of the time between two states of the body.
 
         Args:
-            q_world_from_body: in its middle.
-            gained_world: by how much the velocity changed in it [m/s].
-            rates_body: on average in it [rad/s].
+            before: at its begin.
+            now: at its end.
             dt_s: how long it was.
         """
-        x, y, z = gained_world
-        speed = rotate_back(q_world_from_body, (x, y, z + GRAVITY_MPS2 * dt_s))
+        px, py, pz = before.rates_body
+        qx, qy, qz = now.rates_body
+        rates = 0.5 * (px + qx), 0.5 * (py + qy), 0.5 * (pz + qz)
+        half_s = 0.5 * dt_s
+        turn = from_vector((half_s * rates[0], half_s * rates[1], half_s * rates[2]))
+        middle = product(before.q_world_from_body, turn)
+        ux, uy, uz = before.velocity_world
+        vx, vy, vz = now.velocity_world
+        speed = rotate_back(middle, (vx - ux, vy - uy, vz - uz + GRAVITY_MPS2 * dt_s))
         s, normal, root = self._settings, self._normal, math.sqrt(dt_s)
         accel_bias, gyro_bias = self._accel_bias, self._gyro_bias
         for axis in (0, 1, 2):
@@ -110,9 +111,9 @@ class Imu:
                 speed[2] + accel_bias[2] * dt_s + ka * next(normal),
             ),
             (
-                (rates_body[0] + gyro_bias[0]) * dt_s + kg * next(normal),
-                (rates_body[1] + gyro_bias[1]) * dt_s + kg * next(normal),
-                (rates_body[2] + gyro_bias[2]) * dt_s + kg * next(normal),
+                (rates[0] + gyro_bias[0]) * dt_s + kg * next(normal),
+                (rates[1] + gyro_bias[1]) * dt_s + kg * next(normal),
+                (rates[2] + gyro_bias[2]) * dt_s + kg * next(normal),
             ),
             dt_s,
         )

@@ -5,11 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from contact_sim.contacts import Contacts, Motion
+from contact_sim.contacts import Contacts
 from contact_sim.errors import VehicleError
 from contact_sim.scene.drone import MASS_KG, add_drone
+from contact_sim.vehicle.body import Body
 from tests.unit.contact_sim.flights import (
     AIRFRAME,
     BOARD_X_M,
@@ -33,31 +33,18 @@ class Thrown:
         if not gravity:
             self.model.opt.gravity[:] = 0.0
         self.data = mujoco.MjData(self.model)
-        self.free = self.model.joint("drone/free")
-        self.data.qvel[self.free.dofadr[0] :][:3] = velocity
+        self.data.joint("drone/free").qvel[:3] = velocity
+        self.body = Body(self.model, self.data)
         self.contacts = Contacts(self.model)
         self.t_ns = 0
 
     def step(self, n=1):
         for _ in range(n):
-            before = self.motion()
+            before = self.body.motion(self.body.read())
             mujoco.mj_step(self.model, self.data)
             self.contacts.look(self.data, self.t_ns, before)
             self.t_ns += 2_000_000
         return self
-
-    def motion(self) -> Motion:
-        q, v = self.free.qposadr[0], self.free.dofadr[0]
-        qpos, qvel = self.data.qpos, self.data.qvel
-        w, x, y, z = qpos[q + 3 : q + 7]
-        rotation = Rotation.from_quat([x, y, z, w])
-        return Motion(
-            tuple(qpos[q : q + 3]),
-            tuple(qvel[v : v + 3]),
-            tuple(rotation.apply(qvel[v + 3 : v + 6])),
-            tuple(rotation.apply([1.0, 0.0, 0.0])),
-            float(qvel[self.model.joint("drone/arm").dofadr[0]]),
-        )
 
 
 def test_in_the_air_nothing_is_touched():
@@ -114,15 +101,6 @@ def test_a_touch_that_rattles_is_one_impact():
     count = len(thrown.contacts.impacts)
     thrown.step(1000)
     assert len(thrown.contacts.impacts) == count
-
-
-def test_a_point_of_the_body_moves_with_its_spin_and_a_point_of_the_arm_with_the_arm():
-    """Velocity of a point: SciPy-free, by the textbook's v + w x r."""
-    motion = Motion((1.0, 0.0, 0.0), (0.1, 0.2, 0.3), (0.0, 0.0, 2.0), (0.0, 1.0, 0.0), -0.4)
-    place = (1.0, 0.5, 0.0)
-    expected = np.array([0.1, 0.2, 0.3]) + np.cross([0.0, 0.0, 2.0], [0.0, 0.5, 0.0])
-    assert motion.point_velocity(place, on_arm=False) == pytest.approx(expected)
-    assert motion.point_velocity(place, on_arm=True) == pytest.approx(expected + [0, -0.4, 0])
 
 
 def test_a_world_without_a_drone_is_refused():
