@@ -63,6 +63,8 @@ class Light:
     projector: float
     """How well the depth camera's infrared pattern shows on things at 1 m, in [0, 1]: the sun
     drowns it."""
+    over: float = 1.0
+    """How much more light than it wants the automatic exposure lets in: dark things rule it."""
     lamps: tuple[Lamp, ...] = ()
     sun: Sun | None = None
 

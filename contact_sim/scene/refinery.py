@@ -79,8 +79,10 @@ def build_refinery(seed: int, board: str) -> Scene:
         castshadow=0,
     )
     _add_sky(spec, rng)
+    over = float(np.exp(rng.uniform(0.0, np.log(3.5))))
     facts = {
         **site.facts,
+        "over_exposed": over,
         "wall": f"tank of {radius:.1f} m" if on_tank else "hall",
         "sun_elevation_deg": math.degrees(math.asin(sun_site[2])),
         "sun_from_front_deg": math.degrees(math.acos(np.clip(sun_site[0], -1, 1))),
@@ -100,6 +102,7 @@ def build_refinery(seed: int, board: str) -> Scene:
             haze_rgb=(0.74, 0.76, 0.80),
             dust=0.0,
             projector=0.12,
+            over=over,
             sun=Sun(sun_world, strength=float(rng.uniform(1.5, 3.0))),
         ),
         facts=facts,
