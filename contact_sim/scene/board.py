@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_sim.scene import SEEN_GROUP
-from contact_sim.scene.shapes import add_shape, moved, panel
+from contact_sim.scene.shapes import Shape, add_shape, moved, panel
 from contact_sim.scene.textures import add_material
 from rgbd_wire.geometry import Pose
 from target_pose.target import Shade, Target
@@ -19,6 +19,8 @@ PLATE_M = 0.012
 """Thickness of the plate that carries the print."""
 PRINT_M = 0.0002
 """Thickness of the sheet that is seen; the plate behind is what is touched."""
+FILM_M = 0.0001
+"""So far before the print its glossy film lies."""
 FRICTION = (0.6, 0.005, 1e-4)
 """Of a painted plate: sliding, turning [m], rolling [m]."""
 _ALBEDO = {Shade.BLACK: 0.055, Shade.WHITE: 0.80}
@@ -85,7 +87,6 @@ def add_board(
 ) -> None:
     """Hang the board into the world: geom ``board``, a plate that can be touched, and its print."""
     half = target.board_side_m / 2
-    gloss = (0.9, 0.55) if board == "glossy" else (0.0, 0.1)
     plate = world_from_target @ np.array([-PRINT_M - PLATE_M / 2, 0.0, 0.0])
     spec.add_material(name="plate", rgba=(0.35, 0.35, 0.36, 1.0))
     spec.worldbody.add_geom(
@@ -98,13 +99,22 @@ def add_board(
         material="plate",
         group=SEEN_GROUP,
     )
-    # Lamps shine on the corners of triangles alone: a highlight wants many of them.
-    sheet = panel(
-        np.array([0.0, -half, half]),
-        np.array([0.0, 2 * half, 0.0]),
-        np.array([0.0, 0.0, -2 * half]),
-        tile_m=2 * half,
-        cells=32 if board == "glossy" else 8,
+    add_material(spec, "print", print_texture(target, board, rng))
+    add_shape(spec, "print", moved(_sheet(half, 0.0, cells=8), world_from_target), "print")
+    if board == "glossy":
+        # OpenGL's old lights multiply a highlight with the texture: black ink would not shine
+        spec.add_material(name="film", rgba=(0.02, 0.02, 0.02, 0.25), specular=1.0, shininess=0.15)
+        # and they shine on the corners of triangles alone: a highlight wants many
+        film = moved(_sheet(half, FILM_M, cells=32), world_from_target)
+        add_shape(spec, "film", film, "film")
+
+
+def _sheet(half_m: float, x_m: float, cells: int) -> Shape:
+    """A square in the frame ``target``, so far before the board, that shows its texture once."""
+    return panel(
+        np.array([x_m, -half_m, half_m]),
+        np.array([0.0, 2 * half_m, 0.0]),
+        np.array([0.0, 0.0, -2 * half_m]),
+        tile_m=2 * half_m,
+        cells=cells,
     )
-    add_material(spec, "print", print_texture(target, board, rng), *gloss)
-    add_shape(spec, "print", moved(sheet, world_from_target), "print")

@@ -44,14 +44,14 @@ def build_refinery(seed: int, board: str) -> Scene:
     parts = _Parts()
     sun_site, sun_level = _draw_sun(rng)
     on_tank = bool(rng.random() < 0.4)
+    radius = float(rng.uniform(4.0, 7.0)) if on_tank else math.inf
     if on_tank:
-        radius = float(rng.uniform(4.0, 7.0))
         _add_tank_wall(parts, rng, radius)
     else:
         _add_hall_wall(parts, rng)
     _add_pipes(parts, rng, site)
     _add_columns(parts, rng)
-    _add_instruments(parts, rng)
+    _add_instruments(parts, rng, radius)
     _add_yard(parts, rng)
 
     spec = mujoco.MjSpec()
@@ -244,17 +244,24 @@ def _add_columns(parts: _Parts, rng: np.random.Generator) -> None:
         parts.solid((0.6, y, 2.0), (0.24, 0.2, 4.0))
 
 
-def _add_instruments(parts: _Parts, rng: np.random.Generator) -> None:
+def _add_instruments(parts: _Parts, rng: np.random.Generator, radius_m: float) -> None:
     """Gauges, round and black on white, which are no targets; and warning signs."""
+
+    def skin_m(y: float) -> float:
+        """Where the wall is, which falls back if it is a tank's."""
+        return 0.0 if math.isinf(radius_m) else math.sqrt(radius_m**2 - y**2) - radius_m
+
     for _ in range(int(rng.integers(1, 4))):
         y = float(rng.choice((-1, 1)) * rng.uniform(_SIDE_CLEAR_M, 2.4))
         z, size = float(rng.uniform(1.0, 2.0)), float(rng.uniform(0.12, 0.22))
         x = float(rng.uniform(0.25, 0.4))
         parts.add("dial", _plaque(x, y, z, size))
-        parts.add("steel", shapes.rod((0.0, y, z), (x - 0.01, y, z), 0.03, 1.0, sides=8))
+        parts.add("steel", shapes.rod((skin_m(y), y, z), (x - 0.01, y, z), 0.03, 1.0, sides=8))
     for _ in range(int(rng.integers(1, 3))):
         y = float(rng.choice((-1, 1)) * rng.uniform(CLEAR_M + 0.2, 2.2))
-        parts.add("sign", _plaque(0.03, y, float(rng.uniform(1.0, 2.0)), 0.3))
+        parts.add(
+            "sign", _plaque(skin_m(abs(y) - 0.15) + 0.03, y, float(rng.uniform(1.0, 2.0)), 0.3)
+        )
 
 
 def _plaque(x: float, y: float, z: float, size_m: float) -> Shape:

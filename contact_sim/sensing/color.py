@@ -71,7 +71,8 @@ class ColorCamera:
         x = np.linspace(-1, 1, -(-intrinsics.width // _COARSE), dtype=np.float32)
         y = np.linspace(-1, 1, -(-intrinsics.height // _COARSE), dtype=np.float32)
         corner = np.float32(self.settings.vignette / 2)
-        self._vignette: Floats = 1 / (1 + corner / 2 * (x[None, :] ** 2 + y[:, None] ** 2)) ** 2
+        fall = 1 / (1 + corner / 2 * (x[None, :] ** 2 + y[:, None] ** 2)) ** 2
+        self._vignette: Floats = fall.astype(np.float32)
         self._grain = _grain(rng, (intrinsics.height + _TILE // 4, intrinsics.width + _TILE // 4))
 
     def metered(

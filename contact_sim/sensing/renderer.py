@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from dataclasses import dataclass
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -16,7 +18,9 @@ from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from rgbd_wire.geometry import Pose
 
 NEAR_M = 0.05
-FAR_M = 80.0
+FAR_M = 500.0
+SKY_M = 120.0
+"""Worlds are smaller; the sky is a box that is drawn at a third of ``FAR_M``, or farther."""
 COLOR_CAMERA = "drone/color"
 DEPTH_CAMERA = "drone/depth"
 _RDF_FROM_GL = np.diag([1.0, -1.0, -1.0])
@@ -146,10 +150,25 @@ class Renderer:
         """Give the GL back; also when it was closed before."""
         if self._open:
             self._check_thread()
-            self._open = False
-            self._gl.make_current()
-            self._context.free()
-            self._gl.free()
+            self._free()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        # What is forgotten would free its textures by their numbers in whichever GL is current:
+        # another renderer's.
+        if getattr(self, "_open", False) and not sys.is_finalizing():
+            self._free()
+
+    def _free(self) -> None:
+        self._open = False
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
 
     def _view(self, intrinsics: CameraIntrinsics, world_from_camera: Pose) -> View:
         self._check_thread()
@@ -198,5 +217,5 @@ def _depth_m(nearness: NDArray[np.float32]) -> NDArray[np.float32]:
     """Depth (H, W) of the reversed depth buffer, which is 1 at NEAR_M and 0 at FAR_M."""
     inverse = nearness * np.float32(1 / NEAR_M - 1 / FAR_M) + np.float32(1 / FAR_M)
     depth = 1 / inverse
-    depth[nearness <= 0] = np.inf
+    depth[depth > SKY_M] = np.inf
     return np.asarray(depth, dtype=np.float32)
