@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 import pytest
 
 from contact_sim.contacts import Contacts
 from contact_sim.errors import VehicleError
-from contact_sim.scene.drone import MASS_KG, add_drone
+from contact_sim.scene.drone import ARM, MASS_KG, add_drone
 from contact_sim.vehicle.body import Body
 from tests.unit.contact_sim.flights import (
     AIRFRAME,
@@ -95,10 +97,34 @@ def test_on_the_ground_the_forces_add_up_to_the_weight():
     assert sum(touch.force_n for touch in touches) == pytest.approx(MASS_KG * 9.81, rel=0.01)
 
 
-def test_a_touch_that_rattles_is_one_impact():
-    """What lies still on the floor has come down once."""
+def test_a_fall_ends_at_the_speed_of_its_height():
+    """Dropped flat from 10 cm, whatever of it comes first is as fast as Galilei says."""
+    lowest_m = 0.035  # half the body's height
+    thrown = Thrown((0.0, 0.0, 0.1 + lowest_m)).step(100)
+    impact = thrown.contacts.impacts[0]
+    assert (impact.part, impact.other) == ("drone/body", "floor")
+    assert impact.speed_mps == pytest.approx(math.sqrt(2.0 * 9.81 * 0.1), rel=0.02)
+
+
+def test_a_tip_that_springs_out_comes_with_the_arm_s_speed():
+    """The body stands, the arm shoots out of 1 cm onto a board at half of it: the arm's speed."""
+    start = (BOARD_X_M - REACH_M + 0.005, 0.0, HEIGHT_M)
+    thrown = Thrown(start, gravity=False)
+    thrown.data.joint("drone/arm").qpos[:] = -0.01
+    speeds = []
+    while not thrown.contacts.impacts:
+        speeds.append(thrown.body.read().arm_mps)
+        thrown.step(1)
+    # without the arm's inertia: K/D times what it is pressed in at the board
+    assert thrown.contacts.impacts[0].speed_mps == pytest.approx(speeds[-1], rel=0.02)
+    assert speeds[-1] == pytest.approx(ARM.stiffness_npm / ARM.damping_nspm * 0.005, rel=0.3)
+
+
+def test_a_touch_that_goes_on_is_one_impact():
+    """What has come down lies: few parts, few impacts, however long it lies."""
     thrown = Thrown((0.0, 0.0, 0.06)).step(1500)
     count = len(thrown.contacts.impacts)
+    assert count < 15
     thrown.step(1000)
     assert len(thrown.contacts.impacts) == count
 

@@ -76,6 +76,17 @@ def test_noise_is_a_centimetre():
     assert distances.mean() == pytest.approx(HEIGHT_M - LIDAR_DROP_M, abs=1e-3)
 
 
+def test_it_looks_through_the_body_that_it_sits_in():
+    """From the middle of the body the ground is what it sees."""
+    spec = plain_world()
+    add_drone(spec, AIRFRAME, RIG, pose((0.0, 0.0, HEIGHT_M)))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    lidar = Lidar(QUIET, stream(0, "x"), model, "drone/imu", looks_down=True)
+    assert lidar.measure(data, 0, (0.0, 0.0, HEIGHT_M), LEVEL).distance_m == pytest.approx(HEIGHT_M)
+
+
 def test_what_is_only_touched_is_not_seen():
     """A stand-in for a rough surface, which no camera sees, is not in the way of the beam."""
     spec = plain_world()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,6 +78,18 @@ def test_its_heading_walks():
         turned.append(vio.yaw_error_rad)
     expected = math.hypot(0.0005 * math.sqrt(60.0), 0.0002 * 60.0)
     assert np.std(turned) == pytest.approx(expected, rel=0.3)
+
+
+def test_in_a_turned_world_the_velocity_is_turned_too():
+    """With a heading that runs away, place and velocity go the same way, not the true one."""
+    vio = Vio(replace(RIGHT, yaw_drift_radps=0.05), stream(1, "vio"), START)
+    a, b = flown(vio, 20.0)[-2:]
+    moved = (b.world_from_body.translation - a.world_from_body.translation) * SECOND / PERIOD_NS
+    assert abs(vio.yaw_error_rad) > 0.2
+    assert b.velocity_world == pytest.approx(moved, abs=0.002)
+    assert b.velocity_world[1] == pytest.approx(math.sin(vio.yaw_error_rad), abs=0.002)
+    heading = rotation_of(b.world_from_body).as_rotvec()[2]
+    assert heading == pytest.approx(0.5 + vio.yaw_error_rad, abs=1e-6)
 
 
 def test_what_it_says_fits_what_it_said_before():

@@ -97,6 +97,39 @@ def test_a_late_error_is_corrected_once_and_not_over_and_over(late_ns, over_m):
     assert max(path) < 1.05 + over_m
 
 
+def test_an_unsure_estimate_is_corrected_once_by_samples_that_are_late():
+    """After a silence each sample weighs much; 60 ms late, they do not all correct the same error.
+
+    Place and heading are off by 6 cm and 0.1 rad: what is beyond them stays below a quarter.
+    """
+    e = still()
+    hover(e, 1.0)
+    alone(e, 0.9)
+    for k in range(250):
+        e.propagate(e.t_ns + STEP_NS, STILL)
+        e.feed(seen(e.t_ns - 60 * MS, (1.06, 2.0, 3.0), (0.0, 0.0, 0.1)))
+        assert e.position[0] < 1.06 + 0.015
+        assert 2.0 * math.asin(e.q[3]) < 0.1 + 0.025
+        if k == 25:
+            assert e.position[0] > 1.03
+    assert e.resets == 0
+
+
+def test_a_quick_heading_is_corrected_once_too():
+    """With a gyro that is trusted little, a heading that is told 60 ms late is no swing."""
+    settings = EstimatorSettings(
+        ekf2_gyr_noise=0.1, ekf2_gyr_b_noise=0.0, ekf2_eva_noise_rad=0.01, ekf2_hdg_gate=20.0
+    )
+    e = still(settings)
+    headings = []
+    for _ in range(250):
+        e.propagate(e.t_ns + STEP_NS, STILL)
+        e.feed(seen(max(0, e.t_ns - 60 * MS), turn=(0.0, 0.0, 0.1)))
+        headings.append(2.0 * math.asin(e.q[3]))
+    assert headings[-1] == pytest.approx(0.1, abs=1e-3)
+    assert max(headings) < 0.102
+
+
 def test_a_jump_is_refused_for_a_second_and_then_believed():
     """30 cm in the VIO move the estimate only after a second, all at once, and it is counted."""
     e = still()

@@ -107,6 +107,13 @@ def test_a_tilted_drone_is_turned_upright_the_short_way(turn):
     assert np.linalg.norm(torque) == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
+def test_while_it_still_leans_it_does_not_climb():
+    """Tilted by 60 degrees and told to hover, the thrust is the weight's part along its own z."""
+    q = from_vector((math.pi / 3, 0.0, 0.0))
+    _, effort = run(Setpoint(), LEVEL._replace(q_world_from_body=q))
+    assert effort.thrust_n == pytest.approx(0.5 * WEIGHT_N)
+
+
 def test_an_error_that_stays_is_worked_against():
     """Held by something, it pushes harder with time: by PX4's integral gain."""
     early, _ = run(Setpoint((0.1, 0.0, 0.0)), LEVEL, 50)
