@@ -27,7 +27,7 @@ class Funnel:
     """How fast the funnel opens [sqrt(m)]; the paper's value."""
     e_m: float = 0.003
     """Rounding of the tip [m]; bounds the gradient, and defines it on the axis."""
-    r_c_m: float = 0.020
+    r_c_m: float = 0.025
     """Radius of the mouth in the plane of the board [m]: contact is allowed inside it."""
     _shift: float = field(init=False, repr=False, compare=False, default=0.0)
     """``sqrt(s_c)``: the same at every tick."""

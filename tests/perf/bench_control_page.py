@@ -18,7 +18,7 @@ CLOSING_MPS, NEAR_M, NEAR_SHARE = 0.05, 0.02, 0.95
 COASTING_M = 0.005
 """A vehicle with a lag that is told to stop still rolls on; more than this is no retreat."""
 WHAT = {
-    "invariance": "start values, mouth of 20 mm",
+    "invariance": "start values, mouth of 25 mm",
     "invariance, mouth 30 mm": "mouth of 30 mm",
     "invariance, whole target filter": "start values, the whole target filter",
     "invariance, mouth 30 mm, whole target filter": "mouth of 30 mm, the whole target filter",

@@ -87,7 +87,7 @@ def test_a_step_across_the_axis_counts_as_active() -> None:
     )
     command = filter_command(inp, SETTINGS)
     assert command.status is Status.ACTIVE
-    assert command.velocity_body_target == (0.0, 0.4 / 16, 0.0)
+    assert command.velocity_body_target == (0.0, 0.4 / 8, 0.0)
 
 
 def test_far_outside_the_way_back_is_the_steepest() -> None:

@@ -90,7 +90,7 @@ def test_a_good_command_is_left_alone(x, delta, alpha) -> None:
 
 def test_outside_the_funnel_halving_alone_would_slow_the_recovery() -> None:
     """A recovery that overshoots the axis turns into a straight retreat, not into a stop."""
-    hold = Hold(FUNNEL, (-0.27, 0.0015, 0.0), 0.0, 0.0, 1.2, PERIOD_S)
+    hold = Hold(FUNNEL, (-0.32, 0.0015, 0.0), 0.0, 0.0, 1.2, PERIOD_S)
     assert FUNNEL.h(hold.p_target) < 0
     u = (0.0, -0.4, 0.0)
     assert hold.h_next(tuple(0.5**8 * c for c in u)) < hold.h_required(V_MAX)
