@@ -5,7 +5,8 @@
     SimulatorError
     ├── WorldError       a world, a board or a seed that there is not
     ├── RenderError      no OpenGL that could draw without a screen, or a drawing that failed
-    └── VehicleError     a drone that cannot be built, or a command that it cannot take
+    ├── VehicleError     a drone that cannot be built, or a command that it cannot take
+    └── ServiceError     no service to fly with
 """
 
 from __future__ import annotations
@@ -25,3 +26,7 @@ class RenderError(SimulatorError):
 
 class VehicleError(SimulatorError):
     """A drone cannot be built as asked, or a command is none that it could follow."""
+
+
+class ServiceError(SimulatorError):
+    """A service could not be started, or reached, or the way to it is none that there is."""

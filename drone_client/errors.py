@@ -8,6 +8,7 @@
     ├── AutopilotError   an address that cannot be one, or a line that cannot be opened
     ├── AirframeError    an airframe file that cannot be read
     ├── TuningError      a tuning file that cannot be read, or holds a value that may not be
+    ├── WorldError       a simulated flight that cannot be: no simulator, world, link or service
     └── OutputError      a folder that cannot take the run's files
 """
 
@@ -36,6 +37,10 @@ class AirframeError(ClientError):
 
 class TuningError(ClientError):
     """A tuning file is missing or malformed, or a value in it is out of its bounds."""
+
+
+class WorldError(ClientError):
+    """A simulated flight that cannot be: no simulator, no such world or link, no service."""
 
 
 class OutputError(ClientError):

@@ -16,31 +16,54 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from drone_client.airframe import load_airframe
-from drone_client.autopilot.choose import open_autopilot
-from drone_client.errors import AirframeError, ClientError
-from drone_client.flight_settings import flight_settings
+from drone_client.airframe import Airframe, load_airframe
+from drone_client.errors import AirframeError, ClientError, WorldError
+from drone_client.flight_settings import FlightSettings, flight_settings
+from drone_client.fly.robot import Robot, open_robot
 from drone_client.fly.run import FlyOptions
 from drone_client.fly.run import fly as run_fly
+from drone_client.fly.simulator import Simulator, SimulatorRequest, open_simulator
 from drone_client.fly.terminal import TerminalCockpit
 from drone_client.link.choose import link_summary, open_link
 from drone_client.mission import Phase
-from drone_client.odometry.choose import open_odometry
 from drone_client.ros.names import Flavour
 from drone_client.ros.publish import open_ros, publish_accepted
-from drone_client.settings import about, load_settings
-from drone_client.source.choose import REALSENSE, open_live
+from drone_client.settings import ClientSettings, about, load_settings
+from drone_client.source.choose import REALSENSE
 from drone_client.summary_table import print_summary
 from drone_client.tuning import load_tuning
 from rgbd_wire.clock import MonotonicClock
 
 EXIT_NOT_DONE = 3
+DRONE = str(ClientSettings.model_fields["name"].default)
 
 
 def fly(
     airframe: Annotated[
-        Path, typer.Option(help="TOML with body_from_camera and body_from_tip of this drone")
-    ],
+        Path | None,
+        typer.Option(
+            help="TOML with body_from_camera and body_from_tip of this drone",
+            show_default="needed, but for --sim",
+        ),
+    ] = None,
+    sim: Annotated[
+        str | None,
+        typer.Option(
+            "--sim", help="fly in a simulated world: tunnel or refinery", show_default=False
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="of the simulated world")] = 0,
+    board: Annotated[
+        str, typer.Option(help="print in the simulated world: clean, scratched or glossy")
+    ] = "clean",
+    emulated_link: Annotated[
+        str | None,
+        typer.Option(
+            "--link",
+            help="emulated link to the service of --sim: lan, wifi, 5g or bad",
+            show_default=False,
+        ),
+    ] = None,
     autopilot: Annotated[
         str,
         typer.Option(
@@ -123,30 +146,105 @@ def fly(
     backs off and is given back; once more: it is given back where it is. With --dry-run no mode is
     asked for and no command sent: carry the drone by hand and look at the commands.
 
+    With --sim the same client flies a simulated drone, through a real service that is started for
+    it, or the one of --connect; nobody is asked.
+
     Exit code 0: touched and back. 3: the mission ended otherwise, or nobody agreed.
 
     Example: drone-client fly --airframe drone.toml --autopilot serial//dev/ttyACM0:921600
+
+    Example: drone-client fly --sim tunnel --seed 3 --link wifi --out runs/tunnel
     """
     console = Console(stderr=True)
-    if not (yes or dry_run or sys.stdin.isatty()):
+    if sim is None:
+        _check_real(airframe, emulated_link, asks=not (yes or dry_run))
+    clock = MonotonicClock()
+    with ExitStack() as stack:
+        stack.enter_context(_heeding_hang_up())
+        world, reach = None, {"connect": connect, "key_file": key_file}
+        if sim is not None:
+            console.print(f"building the world {sim}, seed {seed}", markup=False, highlight=False)
+            world = open_simulator(
+                SimulatorRequest(
+                    sim, seed, board, emulated_link, name or DRONE, out, connect is None
+                ),
+                clock,
+            )
+            stack.callback(world.close)
+            reach |= world.reach
+        settings = load_settings(
+            **reach,
+            name=name,
+            tau_max_ms=tau_max_ms,
+            age_max_ms=age_max_ms,
+            tls=tls,
+            onboard_fallback=onboard_fallback,
+            onboard_target=onboard_target,
+            ros_topic=ros_topic,
+            ros_connect=ros_connect,
+            ros_flavour=ros_flavour,
+        )
+        if world is not None:
+            floor_m = world.floor_m if floor_m is None else floor_m
+            ceiling_m = world.ceiling_m if ceiling_m is None else ceiling_m
+        body = Airframe() if airframe is None else load_airframe(airframe)
+        parts = flight_settings(settings)
+        if tuning is not None:
+            parts = load_tuning(tuning, parts)
+        parts = _with_keep_outs(parts, body, floor_m, ceiling_m)
+        cockpit = TerminalCockpit(console, ask=not (yes or world is not None))
+        stack.callback(cockpit.close)
+        robot: Robot | Simulator
+        if world is not None:
+            robot = world
+        else:
+            robot = open_robot(
+                source, camera, autopilot, settings, clock, vio_topic, lidar_topic, ahead_topic
+            )
+            stack.callback(robot.close)
+        link = open_link(settings, clock)
+        stack.callback(link.close)
+        for warning in link_summary(link).get("warnings", ()):
+            console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
+        ros = open_ros(settings, clock)
+        if ros is not None:
+            stack.callback(ros.close)
+        summary = run_fly(
+            robot.camera,
+            robot.vehicle,
+            body,
+            settings,
+            parts,
+            FlyOptions(out, dry_run, wait_for_vehicle_s, plot, overwrite),
+            link,
+            clock,
+            cockpit,
+            (lambda reception: None) if ros is None else partial(publish_accepted, ros),
+            robot.odometry,
+            dict if world is None else lambda: {"simulated": world.report()},
+        )
+    if as_json:
+        print(json.dumps(summary, indent=2))
+    else:
+        print_summary(summary)
+    if summary["phase"] != Phase.DONE.value:
+        raise typer.Exit(EXIT_NOT_DONE)
+
+
+def _check_real(airframe: Path | None, emulated_link: str | None, *, asks: bool) -> None:
+    """What a real drone needs, and a simulated one does not."""
+    if emulated_link is not None:
+        raise WorldError("--link emulates a link for --sim; a real one is as it is")
+    if airframe is None:
+        raise AirframeError("--airframe is needed: where camera and arm sit on this drone")
+    if asks and not sys.stdin.isatty():
         raise ClientError("nobody to ask: run it in a terminal, or with --yes or --dry-run")
-    settings = load_settings(
-        name=name,
-        connect=connect,
-        tau_max_ms=tau_max_ms,
-        age_max_ms=age_max_ms,
-        key_file=key_file,
-        tls=tls,
-        onboard_fallback=onboard_fallback,
-        onboard_target=onboard_target,
-        ros_topic=ros_topic,
-        ros_connect=ros_connect,
-        ros_flavour=ros_flavour,
-    )
-    body = load_airframe(airframe)
-    parts = flight_settings(settings)
-    if tuning is not None:
-        parts = load_tuning(tuning, parts)
+
+
+def _with_keep_outs(
+    parts: FlightSettings, body: Airframe, floor_m: float | None, ceiling_m: float | None
+) -> FlightSettings:
+    """The settings with the planes of the airframe, a floor and a ceiling."""
     if floor_m is not None and ceiling_m is not None and not floor_m < ceiling_m:
         raise AirframeError(
             f"--floor-m {floor_m:g} is not below --ceiling-m {ceiling_m:g}: both are heights"
@@ -157,51 +255,7 @@ def fly(
         planes += [] if ceiling_m is None else [body.ceiling(ceiling_m)]
     except ValueError as error:
         raise AirframeError(str(error)) from None
-    parts = replace(parts, control=replace(parts.control, keep_outs=tuple(planes)))
-    options = FlyOptions(out, dry_run, wait_for_vehicle_s, plot, overwrite)
-    clock = MonotonicClock()
-    cockpit = TerminalCockpit(console, ask=not yes)
-    with ExitStack() as stack:
-        stack.callback(cockpit.close)
-        stack.enter_context(_heeding_hang_up())
-        live = open_live(source, clock, camera=camera)
-        vehicle = open_autopilot(autopilot, clock)
-        stack.callback(vehicle.close)
-        link = open_link(settings, clock)
-        stack.callback(link.close)
-        for warning in link_summary(link).get("warnings", ()):
-            console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
-        odometry = open_odometry(
-            settings,
-            clock,
-            vio_topic=vio_topic,
-            lidar_topic=lidar_topic,
-            ahead_topic=ahead_topic,
-        )
-        if odometry is not None:
-            stack.callback(odometry.close)
-        ros = open_ros(settings, clock)
-        if ros is not None:
-            stack.callback(ros.close)
-        summary = run_fly(
-            live,
-            vehicle,
-            body,
-            settings,
-            parts,
-            options,
-            link,
-            clock,
-            cockpit,
-            (lambda reception: None) if ros is None else partial(publish_accepted, ros),
-            odometry,
-        )
-    if as_json:
-        print(json.dumps(summary, indent=2))
-    else:
-        print_summary(summary)
-    if summary["phase"] != Phase.DONE.value:
-        raise typer.Exit(EXIT_NOT_DONE)
+    return replace(parts, control=replace(parts.control, keep_outs=tuple(planes)))
 
 
 @contextmanager

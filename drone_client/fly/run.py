@@ -224,10 +224,12 @@ def fly(
     cockpit: Cockpit,
     on_accepted: Callable[[Reception], None] = lambda reception: None,
     odometry: OdometrySource | None = None,
+    more: Callable[[], dict[str, Any]] = dict,
 ) -> dict[str, Any]:
     """Fly one mission; returns the summary, which is also written beside ledger and plot.
 
-    What the robot's own VIO and lidars say (``odometry``) is passed on to the autopilot.
+    What the robot's own VIO and lidars say (``odometry``) is passed on to the autopilot. What else
+    stands in the summary is asked for at the end (``more``).
 
     An interrupt (Ctrl-C) aborts the mission: the drone backs off and is given back. A second one
     gives it back at once.
@@ -279,6 +281,7 @@ def fly(
         "camera_error": None if run.camera_error is None else str(run.camera_error),
         **({} if run.feed is None else {"odometry": run.feed.counts()}),
         **at_end,
+        **more(),
     }
     return report(options.out, settings, run.flight, ledger, about, plot=options.plot)
 

@@ -46,9 +46,32 @@ def test_a_mistake_is_told_before_anything_is_opened(arguments: tuple[str, ...],
 
 def test_an_airframe_must_be_given_and_be_there():
     """Nobody flies by the default drone's transforms unawares."""
-    assert "Missing option '--airframe'" in CliRunner().invoke(app, ["fly", "--yes"]).output
+    result = CliRunner().invoke(app, ["fly", "--yes"])
+    assert "--airframe is needed" in str(result.exception)
     result = CliRunner().invoke(app, ["fly", "--yes", "--airframe", "nowhere.toml"])
     assert "airframe file nowhere.toml: No such file" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--sim", "moon"), "no world 'moon'; there are: tunnel, refinery"),
+        (("--sim", "tunnel", "--board", "torn"), "no board 'torn'; there are: clean"),
+        (
+            ("--sim", "tunnel", "--link", "string"),
+            "no link 'string'; there are: lan, wifi, 5g, bad",
+        ),
+        (("--sim", "tunnel", "--link", "wifi", "--connect", "tcp/127.0.0.1:1"), "leave --connect"),
+        (("--yes", "--airframe", AIRFRAME, "--link", "wifi"), "--link emulates a link for --sim"),
+    ],
+)
+def test_a_simulated_flight_that_cannot_be_is_told_before_it_begins(
+    arguments: tuple[str, ...], says: str
+):
+    """And nothing is left running: no thread, no process was begun."""
+    result = CliRunner().invoke(app, ["fly", *arguments])
+    assert isinstance(result.exception, ClientError)
+    assert says in str(result.exception)
 
 
 def view(accepted: int = 3) -> View:

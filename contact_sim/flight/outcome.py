@@ -1,0 +1,162 @@
+"""What a flight truly came to, whatever the client believes of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from contact_sim.simulation import Simulation
+from drone_client.cbf import Funnel
+from rgbd_wire.geometry import Array, Pose
+
+TIP: Final = "drone/tip"
+BOARD: Final = "board"
+MOUTH_M: Final = Funnel().r_c_m
+"""Radius of the funnel's mouth: contact is allowed inside it."""
+TRACK_NS: Final = 20_000_000
+MAX_TRACK: Final = 100_000
+"""Rows of the track: over half an hour."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """The truth at a moment."""
+
+    t_ns: int
+    """Simulated time."""
+    tip_target: tuple[float, float, float]
+    """The unloaded tip in the board's frame [m]: x is the distance from its plane."""
+    body_world: tuple[float, float, float]
+    yaw_error_rad: float
+    """Heading of the arm against the board's normal."""
+    velocity_world: tuple[float, float, float]
+    arm_m: float
+    """By how much the arm is pressed in."""
+    tip_force_n: float
+    drift_m: float
+    """Of the estimate against the truth, where it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A flight in numbers; ``None`` where there was no touch."""
+
+    touched: bool
+    """The tip touched the board."""
+    offset_m: float | None
+    """Where it touched first, from the centre of the print."""
+    touch_target_m: tuple[float, float] | None
+    """The same, left and up."""
+    closing_mps: float | None
+    """Worst speed of the tip along the normal, as it met the board."""
+    peak_force_n: float
+    """Of the tip, in one physics step."""
+    press_force_n: float | None
+    """Median while it touched."""
+    pressed_s: float
+    outside_m: float
+    """Deepest place of the unloaded tip behind the board's plane outside the mouth."""
+    collisions: tuple[str, ...]
+    """What else touched what: ``part on thing``."""
+    nearest_m: float
+    """Of the tip's way, from the board's plane."""
+    end_m: float
+    """Distance of the tip from the board's plane at the end."""
+    flown_s: float
+    drift_m: float
+    """Of the odometry at the end."""
+
+    def as_json(self) -> dict[str, Any]:
+        """For a file."""
+        return asdict(self)
+
+
+class Witness:
+    """Looks at every turn of the simulation, and remembers what matters."""
+
+    def __init__(self, world_from_target: Pose) -> None:
+        self.rows: list[Row] = []
+        self._target_from_world = world_from_target.inverse()
+        self._touch: Array | None = None
+        self._forces: list[float] = []
+        self._peak_n = 0.0
+        self._outside_m = 0.0
+        self._collisions: dict[str, None] = {}
+        self._nearest_m = math.inf
+        self._touching_turns = 0
+
+    def look(self, simulation: Simulation) -> None:
+        """Take the moment."""
+        truth = simulation.truth
+        tip_target = self._target_from_world @ truth.tip_world
+        # Where the tip would be if the arm had not given way
+        forward = truth.world_from_body.rotation[:, 0]
+        free = self._target_from_world @ (truth.tip_world + truth.arm_m * forward)
+        x, y, z = free.tolist()
+        self._nearest_m = min(self._nearest_m, x)
+        if x < 0.0 and math.hypot(y, z) > MOUTH_M:
+            self._outside_m = max(self._outside_m, -x)
+        for touch in truth.touches:
+            if touch.part == TIP and touch.other == BOARD:
+                continue
+            self._collisions.setdefault(f"{touch.part} on {touch.other}")
+        if truth.tip_force_n > 0.0:
+            if self._touch is None and any(t.other == BOARD for t in truth.touches):
+                self._touch = tip_target
+            self._forces.append(truth.tip_force_n)
+            self._touching_turns += 1
+        if not self.rows or truth.t_ns - self.rows[-1].t_ns >= TRACK_NS:
+            self._add_row(simulation, (x, y, z), forward)
+
+    def _add_row(
+        self, simulation: Simulation, tip_target: tuple[float, float, float], forward: Array
+    ) -> None:
+        if len(self.rows) >= MAX_TRACK:
+            return
+        truth = simulation.truth
+        inwards = self._target_from_world.rotation @ forward
+        believed = simulation.estimate.world_from_body.translation
+        px, py, pz = truth.world_from_body.translation.tolist()
+        vx, vy, vz = truth.velocity_world.tolist()
+        self.rows.append(
+            Row(
+                truth.t_ns,
+                tip_target,
+                (px, py, pz),
+                math.atan2(inwards[1], -inwards[0]),
+                (vx, vy, vz),
+                truth.arm_m,
+                truth.tip_force_n,
+                float(np.linalg.norm(believed - truth.world_from_body.translation)),
+            )
+        )
+
+    def outcome(self, simulation: Simulation, turn_s: float) -> Outcome:
+        """What it came to.
+
+        Args:
+            simulation: at its end.
+            turn_s: time between two looks.
+        """
+        contacts = simulation.contacts
+        touch = self._touch
+        impacts = [i.speed_mps for i in contacts.impacts if i.part == TIP and i.other == BOARD]
+        last = self.rows[-1] if self.rows else None
+        return Outcome(
+            touched=touch is not None,
+            offset_m=None if touch is None else math.hypot(touch[1], touch[2]),
+            touch_target_m=None if touch is None else (float(touch[1]), float(touch[2])),
+            closing_mps=max(impacts) if impacts else None,
+            peak_force_n=contacts.worst_force_n.get(TIP, 0.0),
+            press_force_n=float(np.median(self._forces)) if self._forces else None,
+            pressed_s=self._touching_turns * turn_s,
+            outside_m=self._outside_m,
+            collisions=tuple(self._collisions),
+            nearest_m=self._nearest_m,
+            end_m=math.nan if last is None else last.tip_target[0],
+            flown_s=simulation.t_ns / 1e9,
+            drift_m=math.nan if last is None else last.drift_m,
+        )

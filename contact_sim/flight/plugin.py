@@ -1,0 +1,132 @@
+"""What ``drone-client fly --sim`` opens: a world that runs, a service, the link between them."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from contact_sim.errors import ServiceError, SimulatorError
+from contact_sim.flight.autopilot import SimulatedVehicle
+from contact_sim.flight.camera import SimulatedCamera
+from contact_sim.flight.live import TURN_STEPS, LiveSimulation
+from contact_sim.flight.odometry import SimulatedOdometry
+from contact_sim.flight.outcome import Witness
+from contact_sim.flight.service import ServiceProcess, free_udp_port
+from contact_sim.scene import Scene, build_scene
+from contact_sim.sensing import d455
+from contact_sim.simulation import STEP_NS, Simulation, SimulationSettings
+from drone_client.airframe import Airframe
+from drone_client.errors import WorldError
+from drone_client.fly.simulator import SimulatorRequest
+from link_emulator.errors import EmulatorError
+from link_emulator.profiles import profile
+from link_emulator.proxy_process import UdpProxy
+from rgbd_wire.clock import Clock
+
+
+class SimulatedWorld:
+    """A ``Simulator`` of the client's."""
+
+    def __init__(self, scene: Scene, seed: int, clock: Clock) -> None:
+        """Build the drone into a scene; ``start`` lets time pass."""
+        rig = d455()
+        # As on the real robot: the estimator hears of VIO and height through the client
+        settings = SimulationSettings(feeds_itself=False)
+        simulation = Simulation(scene, Airframe(), rig, seed, settings)
+        self.scene = scene
+        self.witness = Witness(scene.world_from_target)
+        self.live = LiveSimulation(simulation, clock, lambda s, now_ns: self.witness.look(s))
+        self.camera = SimulatedCamera(self.live, rig, scene.light, seed, clock)
+        self.vehicle = SimulatedVehicle(self.live, clock)
+        self.odometry = SimulatedOdometry(self.live)
+        self.reach: dict[str, Any] = {}
+        self.stack = ExitStack()
+
+    @property
+    def floor_m(self) -> float:
+        """Height of the floor."""
+        return self.scene.floor_m
+
+    @property
+    def ceiling_m(self) -> float | None:
+        """Height of the ceiling."""
+        return self.scene.ceiling_m
+
+    def start(self) -> None:
+        """Let time pass."""
+        self.live.start()
+        self.stack.callback(self.live.stop)
+
+    def report(self) -> dict[str, Any]:
+        """What the flight truly came to, in which world."""
+        with self.live.look() as (simulation, _):
+            outcome = self.witness.outcome(simulation, TURN_STEPS * STEP_NS / 1e9)
+        error = self.live.error
+        return {
+            "world": self.scene.name,
+            "seed": self.scene.seed,
+            "facts": dict(self.scene.facts),
+            "slipped_s": self.live.slipped_ns / 1e9,
+            "error": None if error is None else str(error),
+            **outcome.as_json(),
+        }
+
+    def close(self) -> None:
+        """End all of it."""
+        self.stack.close()
+
+
+def open_simulator(request: SimulatorRequest, clock: Clock) -> SimulatedWorld:
+    """The world of a request, running, with a service if it named none.
+
+    Raises:
+        WorldError: there is no such world, board, seed or link, no OpenGL, or no service came up.
+    """
+    try:
+        return _open(request, clock)
+    except (SimulatorError, EmulatorError) as error:
+        raise WorldError(str(error)) from None
+
+
+def _open(request: SimulatorRequest, clock: Clock) -> SimulatedWorld:
+    link = None if request.link is None else profile(request.link)
+    if link is not None and not request.starts_service:
+        raise ServiceError(
+            "--link lies before a service that is started for the flight: leave --connect out"
+        )
+    world = SimulatedWorld(
+        build_scene(request.world, request.seed, request.board), request.seed, clock
+    )
+    with contextlib.ExitStack() as undo:
+        undo.callback(world.close)
+        if request.starts_service:
+            options: list[str] = []
+            if link is not None:
+                port = free_udp_port()
+                keys = _write_key(request.folder, request.drone)
+                options = ["--udp", f"127.0.0.1:{port}", "--keys", str(keys)]
+            service = world.stack.enter_context(ServiceProcess(request.folder, *options))
+            world.reach = {"connect": service.endpoint}
+            if link is not None:
+                proxy = UdpProxy(("127.0.0.1", port), link.up, link.down, seed=request.seed)
+                world.stack.enter_context(proxy)
+                world.reach = {"connect": f"udp/127.0.0.1:{proxy.port}", "key_file": keys}
+        world.start()
+        undo.pop_all()
+    return world
+
+
+def _write_key(folder: Path, drone: str) -> Path:
+    """A key for the tunnel, for this flight alone."""
+    path = folder / "tunnel.key"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        path.touch(mode=0o600)
+        path.write_text(f"{drone} {secrets.token_hex(32)}\n", encoding="ascii")
+    except OSError as error:
+        raise ServiceError(f"cannot write {path}: {error.strerror}") from None
+    return path

@@ -1,0 +1,83 @@
+"""What a flight truly came to: seen by a witness that does not ask the client."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from contact_sim.flight.outcome import BOARD, Witness
+from drone_client.mission import Phase
+from tests.unit.contact_sim.flights import BOARD as WORLD_FROM_TARGET
+from tests.unit.contact_sim.flights import BOARD_X_M, HEIGHT_M, REACH_M, Pilot, simulation
+
+TURN_S = 0.004
+
+
+def watched(sim, seconds: float, witness: Witness | None = None) -> Witness:
+    witness = witness or Witness(WORLD_FROM_TARGET)
+    for _ in range(round(seconds / TURN_S)):
+        sim.step(2)
+        witness.look(sim)
+    return witness
+
+
+def test_a_flight_without_a_touch_has_none() -> None:
+    """It hovers, 3 m away: everything that needs a touch is not known."""
+    sim = simulation()
+    outcome = watched(sim, 0.5).outcome(sim, TURN_S)
+    assert not outcome.touched
+    assert (outcome.offset_m, outcome.closing_mps, outcome.press_force_n) == (None, None, None)
+    assert (outcome.peak_force_n, outcome.outside_m, outcome.collisions) == (0.0, 0.0, ())
+    assert outcome.nearest_m == pytest.approx(BOARD_X_M - REACH_M, abs=0.05)
+    assert outcome.flown_s == 0.5
+
+
+def test_a_push_beside_the_mouth_is_one() -> None:
+    """Flown into the board 10 cm beside the centre: the place, the speed and the depth are told."""
+    sim = simulation(start=(BOARD_X_M - REACH_M - 0.1, 0.1, HEIGHT_M))
+    sim.set_velocity((0.08, 0.0, 0.0), 0.0)
+    outcome = watched(sim, 4.0).outcome(sim, TURN_S)
+    assert outcome.touched
+    assert outcome.offset_m == pytest.approx(0.1, abs=0.03)
+    assert outcome.touch_target_m[0] == pytest.approx(-0.1, abs=0.03)  # the board's left is -y
+    assert outcome.closing_mps == pytest.approx(0.08, abs=0.04)
+    assert outcome.outside_m > 0.002
+    assert outcome.peak_force_n >= outcome.press_force_n > 0.0
+    assert 0.0 < outcome.pressed_s < 4.0
+    assert outcome.collisions == ()
+    json.dumps(outcome.as_json(), allow_nan=False)
+
+
+def test_a_propeller_at_the_wall_is_a_collision() -> None:
+    """Sideways into the board: what touched what is named."""
+    sim = simulation(start=(BOARD_X_M - 0.55, 0.0, HEIGHT_M), turned_rad=math.pi / 2)
+    sim.set_velocity((0.3, 0.0, 0.0), 0.0)
+    outcome = watched(sim, 2.0).outcome(sim, TURN_S)
+    assert any("propeller" in c and c.endswith(f"on {BOARD}") for c in outcome.collisions)
+
+
+def test_the_clients_contact_is_the_witnesses_too() -> None:
+    """Flown by the real mission and filter: in the mouth, gently, nothing else touched."""
+    sim = simulation(start=(1.2, 0.1, HEIGHT_M), turned_rad=0.1)
+    witness = Witness(WORLD_FROM_TARGET)
+    step = sim.step
+
+    def step_and_look(n: int = 1) -> None:
+        for _ in range(n // 2):
+            step(2)
+            witness.look(sim)
+
+    sim.step = step_and_look  # type: ignore[method-assign]
+    pilot = Pilot(sim).fly(40.0)
+    assert pilot.mission.phase is Phase.DONE
+    outcome = witness.outcome(sim, TURN_S)
+    assert outcome.touched
+    assert outcome.offset_m < 0.02
+    assert outcome.closing_mps < 0.06
+    assert outcome.outside_m == 0.0
+    assert outcome.collisions == ()
+    assert outcome.end_m > 0.8
+    assert len(witness.rows) == pytest.approx(outcome.flown_s / 0.02, rel=0.05)
+    assert max(abs(row.yaw_error_rad) for row in witness.rows[-100:]) < 0.05
