@@ -64,7 +64,7 @@ def draw_site(rng: np.random.Generator, farthest_m: float, aside_m: float) -> Si
     bearing = math.radians(rng.uniform(-25, 25))
     aside = float(np.clip(distance * math.sin(bearing), -aside_m, aside_m))
     away = math.sqrt(distance**2 - aside**2)
-    start = site_from_target.translation + (away, aside, rng.uniform(-0.25, 0.2))
+    start = site_from_target.translation + (away, aside, rng.uniform(-0.25, 0.1))
     # the nose points at the board, but for an error that may take the board out of the picture
     off_deg = float(rng.choice((-1, 1)) * rng.uniform(0, 60))
     yaw = math.atan2(-aside, -away) + math.radians(off_deg)

@@ -17,6 +17,8 @@ from rgbd_wire.geometry import Array, Pose, rotation_from_vector
 from target_pose.target import load_round_target
 
 LENGTH_M = 14.0
+RAIL_M = 0.09
+"""Height of the rails above the floor."""
 _TILE_M = 1.6
 _ACROSS, _ALONG = 44, 52
 
@@ -26,7 +28,7 @@ class _Tube:
 
     def __init__(self, rng: np.random.Generator, width_m: float) -> None:
         self.width_m = width_m
-        self.wall_m = float(rng.uniform(1.9, 2.3))
+        self.wall_m = float(rng.uniform(2.2, 2.5))
         """Height at which the vault begins."""
         self.height_m = self.wall_m + float(rng.uniform(0.8, 1.5))
         self.slope = float(rng.uniform(-0.03, 0.03))
@@ -95,7 +97,7 @@ def build_tunnel(seed: int, board: str) -> Scene:
         seed,
         site.world_from_target,
         site.world_from_body,
-        floor_m=max(near) + level_site + 0.03,
+        floor_m=max(near) + level_site + RAIL_M,
         ceiling_m=min(near) + level_site + tube.wall_m,
         lamps=tuple(lamp.name for lamp in lamps),
         light=Light(
@@ -217,11 +219,11 @@ def _add_fittings(
         return shapes.rod(a, b, radius, 0.8)
 
     for y in (-0.45, 0.45):
-        steel.append(line(y, 0.05, 0.035))
+        steel.append(line(y, RAIL_M - 0.035, 0.035))
     for x in np.arange(start, end, 0.8):
         dark.append(shapes.block(np.array([x, 0.0, tube.floor_m(x) + 0.02]), (0.2, 1.3, 0.06), 0.8))
     duct = float(rng.uniform(0.2, 0.3))
-    paint.append(line(float(rng.choice((-1, 1))) * 0.25 * half, tube.height_m - duct - 0.2, duct))
+    paint.append(line(float(rng.choice((-1, 1))) * 0.25 * half, tube.height_m - duct - 0.1, duct))
     for side in (-1, 1):
         low = rng.uniform(0.25, 0.6)
         for k in range(int(rng.integers(1, 4))):
