@@ -7,6 +7,7 @@ velocity loop, rotors and wind run at every second one, VIO and lidars at their 
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -32,6 +33,8 @@ from drone_client.cbf.vector import Vec3, is_bounded
 from drone_client.odometry import OdometrySample, RangeSample
 from rgbd_wire.camera import RgbdCamera
 from rgbd_wire.geometry import Array, Pose
+
+log = logging.getLogger(__name__)
 
 STEP_NS = 2_000_000
 CONTROL_STEPS = 2
@@ -119,6 +122,8 @@ class Simulation:
         """The newest of the lidar that looks down."""
         self.ahead: RangeSample | None = None
         """The newest of the lidar that looks forward."""
+        # MuJoCo would write its warnings into a file in whatever folder this runs in.
+        mujoco.set_mju_user_warning(_tell)
         spec = scene.spec.copy()
         add_drone(spec, airframe, rig, scene.world_from_body)
         self.model = spec.compile()
@@ -292,6 +297,10 @@ class Simulation:
             )
             if self.settings.feeds_itself:
                 self._estimator.feed_range(self.height)
+
+
+def _tell(warning: str) -> None:
+    log.warning("MuJoCo: %s", warning)
 
 
 def _scaled(v: Vec3, k: float) -> Vec3:

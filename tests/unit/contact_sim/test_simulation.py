@@ -322,12 +322,17 @@ def test_a_command_that_is_none_is_refused(velocity, rate):
     sim.step(10)
 
 
-@pytest.mark.parametrize("at_m", [1e6, -1e6])
-def test_physics_that_diverge_are_an_error_and_no_new_start(at_m):
-    """A drone that is thrown out of the world is told, with when and where."""
-    sim = simulation(start=(at_m, 0.0, HEIGHT_M))
-    with pytest.raises(VehicleError, match=r"diverged at 0\.000 s: the drone is at"):
+@pytest.mark.parametrize("x_m", [1e6, math.nan])
+def test_physics_that_diverge_are_an_error_and_no_new_start(x_m, tmp_path, monkeypatch, caplog):
+    """A drone that is nowhere any more is told, with when and where; no file is left behind."""
+    monkeypatch.chdir(tmp_path)
+    sim = simulation()
+    sim.step(5)
+    sim._data.joint("drone/free").qpos[0] = x_m
+    with pytest.raises(VehicleError, match=r"diverged at 0\.010 s: the drone is at"):
         sim.step(5)
+    assert list(tmp_path.iterdir()) == []
+    assert ("MuJoCo" in caplog.text) == math.isnan(x_m)
 
 
 def test_bad_requests_are_refused():
