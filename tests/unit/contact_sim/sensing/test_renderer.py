@@ -216,9 +216,10 @@ def test_without_opengl_the_error_says_what_to_install(tmp_path, variables, word
         "except RenderError as error:\n    print(error)\n"
     )
     environment = {k: v for k, v in os.environ.items() if k != "MUJOCO_GL"} | variables
-    for name in ("libEGL.so.1", "libOSMesa.so", "libOSMesa.so.6", "libOSMesa.so.8"):
+    for name in ("libOSMesa.so", "libOSMesa.so.6", "libOSMesa.so.8"):
         (tmp_path / name).write_bytes(b"")  # found first, and no library
     environment["LD_LIBRARY_PATH"] = str(tmp_path)
+    environment["__EGL_VENDOR_LIBRARY_FILENAMES"] = str(tmp_path / "none.json")  # no driver
     done = subprocess.run(
         [sys.executable, "-c", script],
         env=environment,
