@@ -19,13 +19,13 @@ from contact_sim.contacts import TIP, Contacts, Touch
 from contact_sim.errors import VehicleError
 from contact_sim.scene import Scene, Snapshot
 from contact_sim.scene.drone import MASS_KG, TIMESTEP_S, add_drone, rotor_places
-from contact_sim.sensing.imu import Imu, ImuSettings
+from contact_sim.sensing.imu import Imu, ImuSample, ImuSettings
 from contact_sim.sensing.lidar import Lidar, LidarSettings
 from contact_sim.sensing.vio import Moving, Vio, VioSettings
 from contact_sim.vehicle import velocity_loop
 from contact_sim.vehicle.body import Body
 from contact_sim.vehicle.estimator import Estimate, Estimator, EstimatorSettings
-from contact_sim.vehicle.rotors import MAX_THRUST_N, Mixer
+from contact_sim.vehicle.rotors import MAX_THRUST_N, Mixer, Thrusts
 from contact_sim.vehicle.velocity_loop import Craft, LoopSettings, LoopState, Sensed, Setpoint
 from contact_sim.vehicle.wind import Wind, WindSettings
 from drone_client.airframe import Airframe
@@ -61,6 +61,8 @@ class SimulationSettings:
     feeds_itself: bool = True
     """VIO and height go to the estimator by themselves; otherwise only what ``give_odometry`` and
     ``give_range`` pass on, as where the client feeds the autopilot."""
+    rotors_from_outside: bool = False
+    """An autopilot outside turns the rotors, with ``set_rotors``; they stand still at the start."""
 
 
 class Truth(NamedTuple):
@@ -132,11 +134,13 @@ class Simulation:
         self._body = Body(self.model, self._data)
         self._mixer = Mixer.of(rotor_places(airframe))
         self._craft = Craft(MASS_KG, 4.0 * MAX_THRUST_N, self._mixer.authority_nm)
-        self._body.spin_up(0.25 * MASS_KG * velocity_loop.GRAVITY_MPS2)
+        if not self.settings.rotors_from_outside:
+            self._body.spin_up(0.25 * MASS_KG * velocity_loop.GRAVITY_MPS2)
         mujoco.mj_forward(self.model, self._data)
 
         self._steps = 0
         self._setpoint = Setpoint()
+        self._thrusts: Thrusts = (0.0, 0.0, 0.0, 0.0)
         self._wind_world = self.settings.wind.mean_world
         self.contacts = Contacts(self.model)
         self.wind = Wind(self.settings.wind, stream(seed, "wind"))
@@ -146,6 +150,8 @@ class Simulation:
         self._imu = Imu(self.settings.imu, stream(seed, "imu"))
         self._state = self._body.read()
         self._sampled = self._state
+        self._sampled_steps = 0
+        self._imu_sample: ImuSample | None = None
         start = self._moving()
         self.vio_camera = Vio(self.settings.vio, stream(seed, "vio"), start)
         lidar, model = self.settings.lidar, self.model
@@ -212,6 +218,34 @@ class Simulation:
             )
         self._setpoint = Setpoint((x, y, z), rate)
 
+    def read_imu(self) -> ImuSample | None:
+        """What the IMU gained in the last 4 ms, for an autopilot outside; None: at the beginning.
+
+        Between two turns of the velocity loop only, after an even number of steps: whoever asks
+        then can set the rotors by it before the next step.
+
+        Raises:
+            VehicleError: there is no sample of now.
+        """
+        if self._steps % CONTROL_STEPS:
+            raise VehicleError(f"the IMU has a sample at every second step, not at {self._steps}")
+        self._sample_imu()
+        return self._imu_sample
+
+    def set_rotors(self, thrusts_n: Thrusts) -> None:
+        """What the rotors shall do from now on [N], in the order of ``rotor_places``; they lag.
+
+        Raises:
+            VehicleError: they are the velocity loop's, or a number is no thrust of a rotor.
+        """
+        if not self.settings.rotors_from_outside:
+            raise VehicleError("the velocity loop turns the rotors: set rotors_from_outside")
+        if len(thrusts_n) != 4 or not all(0.0 <= t <= MAX_THRUST_N for t in thrusts_n):
+            raise VehicleError(
+                f"four thrusts from 0 to {MAX_THRUST_N:g} N are needed, not {thrusts_n}"
+            )
+        self._thrusts = thrusts_n
+
     def give_odometry(self, sample: OdometrySample) -> None:
         """Pass a pose on to the estimator, stamped in simulated time."""
         self._estimator.feed(sample)
@@ -263,18 +297,28 @@ class Simulation:
     def _control(self) -> None:
         """IMU, estimator, velocity loop, rotors; and the wind until the next time."""
         dt_s = CONTROL_STEPS * TIMESTEP_S
-        now, before = self._state, self._sampled
-        estimator = self._estimator
-        if self._steps > 0:
-            estimator.propagate(self.t_ns, self._imu.sample(before, now, dt_s))
-        self._sampled = now
-        sensed = Sensed(estimator.q, estimator.velocity, estimator.acceleration, estimator.rates)
-        self._loop, effort = velocity_loop.step(
-            self._loop, self._setpoint, sensed, dt_s, self.settings.loop, self._craft
-        )
-        self._body.lift(self._mixer.thrusts(effort))
+        self._sample_imu()
+        if not self.settings.rotors_from_outside:
+            estimator = self._estimator
+            sensed = Sensed(
+                estimator.q, estimator.velocity, estimator.acceleration, estimator.rates
+            )
+            self._loop, effort = velocity_loop.step(
+                self._loop, self._setpoint, sensed, dt_s, self.settings.loop, self._craft
+            )
+            self._thrusts = self._mixer.thrusts(effort)
+        self._body.lift(self._thrusts)
         self._wind_world = self.wind.step(dt_s)
-        self._body.push(self.wind.drag(self._wind_world, now.velocity_world))
+        self._body.push(self.wind.drag(self._wind_world, self._state.velocity_world))
+
+    def _sample_imu(self) -> None:
+        """Take the sample of now, once, and carry the estimator on by it."""
+        if self._sampled_steps == self._steps:
+            return
+        dt_s = CONTROL_STEPS * TIMESTEP_S
+        self._imu_sample = self._imu.sample(self._sampled, self._state, dt_s)
+        self._estimator.propagate(self.t_ns, self._imu_sample)
+        self._sampled, self._sampled_steps = self._state, self._steps
 
     def _sense(self) -> None:
         """What the sensors measure at the end of a step, and what comes out of them."""
