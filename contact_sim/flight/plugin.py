@@ -14,12 +14,14 @@ from contact_sim.flight.camera import SimulatedCamera
 from contact_sim.flight.live import TURN_STEPS, LiveSimulation
 from contact_sim.flight.odometry import SimulatedOdometry
 from contact_sim.flight.outcome import Witness
+from contact_sim.flight.search import searching
 from contact_sim.flight.service import ServiceProcess, free_udp_port
 from contact_sim.scene import Scene, build_scene
 from contact_sim.sensing import d455
 from contact_sim.simulation import STEP_NS, Simulation, SimulationSettings
 from drone_client.airframe import Airframe
 from drone_client.errors import WorldError
+from drone_client.flight_settings import FlightSettings
 from drone_client.fly.simulator import SimulatorRequest
 from link_emulator.errors import EmulatorError
 from link_emulator.profiles import profile
@@ -54,6 +56,10 @@ class SimulatedWorld:
     def ceiling_m(self) -> float | None:
         """Height of the ceiling."""
         return self.scene.ceiling_m
+
+    def tuned(self, parts: FlightSettings) -> FlightSettings:
+        """With a search that turns."""
+        return searching(parts)
 
     def start(self) -> None:
         """Let time pass."""

@@ -188,9 +188,7 @@ def fly(
             floor_m = world.floor_m if floor_m is None else floor_m
             ceiling_m = world.ceiling_m if ceiling_m is None else ceiling_m
         body = Airframe() if airframe is None else load_airframe(airframe)
-        parts = flight_settings(settings)
-        if tuning is not None:
-            parts = load_tuning(tuning, parts)
+        parts = _tuned(flight_settings(settings), tuning, world)
         parts = _with_keep_outs(parts, body, floor_m, ceiling_m)
         cockpit = TerminalCockpit(console, ask=not (yes or world is not None))
         stack.callback(cockpit.close)
@@ -239,6 +237,13 @@ def _check_real(airframe: Path | None, emulated_link: str | None, *, asks: bool)
         raise AirframeError("--airframe is needed: where camera and arm sit on this drone")
     if asks and not sys.stdin.isatty():
         raise ClientError("nobody to ask: run it in a terminal, or with --yes or --dry-run")
+
+
+def _tuned(parts: FlightSettings, tuning: Path | None, world: Simulator | None) -> FlightSettings:
+    """The settings as the file has them, or as a simulated world asks for."""
+    if tuning is not None:
+        return load_tuning(tuning, parts)
+    return parts if world is None else world.tuned(parts)
 
 
 def _with_keep_outs(

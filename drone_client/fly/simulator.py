@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol, cast
 
 from drone_client.autopilot import FlyingAutopilot
 from drone_client.errors import WorldError
+from drone_client.flight_settings import FlightSettings
 from drone_client.odometry.source import OdometrySource
 from drone_client.source import LiveSource
 from rgbd_wire.clock import Clock
@@ -65,6 +66,10 @@ class Simulator(Protocol):
     @property
     def ceiling_m(self) -> float | None:
         """Height of the ceiling; None: open sky."""
+        ...
+
+    def tuned(self, parts: FlightSettings) -> FlightSettings:
+        """The settings for this world, where the user has tuned none."""
         ...
 
     @property

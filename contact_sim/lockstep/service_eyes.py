@@ -1,0 +1,108 @@
+"""A real service as the eyes of a flight in lockstep: real codec, real link, real pictures.
+
+Simulated time stands still while it looks, so its answer does not depend on how busy the machine
+is, and the flight is the same every time.
+"""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from typing import Final, Self
+
+from contact_sim.errors import ServiceError
+from contact_sim.lockstep.eyes import Look
+from drone_client.link import Link
+from drone_client.link.choose import open_link
+from drone_client.settings import load_settings
+from rgbd_wire.clock import MonotonicClock
+from rgbd_wire.envelope import Kind, unseal
+from rgbd_wire.errors import DecodeError
+from rgbd_wire.frame import RgbdFrame
+from rgbd_wire.frame_codec import FrameStamp, compress, pack
+from rgbd_wire.geometry import Pose
+from rgbd_wire.messages import Result, decode_result
+
+BUDGET_NS: Final = 60_000_000_000
+ANSWER_S: Final = 30.0
+WORKER_S: Final = 20.0
+
+
+class ServiceEyes:
+    """Asks a worker for every frame, one at a time.
+
+    Raises:
+        ServiceError: no worker there, or one that does not answer.
+    """
+
+    needs_pictures = True
+
+    def __init__(self, endpoint: str, drone: str = "lockstep") -> None:
+        """Connect to a service; waits for its first worker."""
+        settings = load_settings(name=drone, connect=endpoint)
+        self._drone = drone
+        self._clock = MonotonicClock()
+        self._boot_id = secrets.randbits(62)
+        self._changed = threading.Condition()
+        self._results: dict[int, Result] = {}
+        self._link: Link = open_link(settings, self._clock)
+        self._link.start(self._on_message, self._on_workers)
+        give_up = time.monotonic() + WORKER_S
+        with self._changed:
+            while not self._link.workers():
+                left = give_up - time.monotonic()
+                if left <= 0.0:
+                    self._link.close()
+                    raise ServiceError(f"no worker at {endpoint} within {WORKER_S:g} s")
+                self._changed.wait(min(left, 0.1))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the service."""
+        self._link.close()
+
+    def look(
+        self, sequence: int, t_capture_ns: int, frame: RgbdFrame | None, camera_from_target: Pose
+    ) -> Look:
+        """What the worker says of a frame.
+
+        Raises:
+            ServiceError: nothing, for too long, or there is no worker any more.
+        """
+        if frame is None:
+            raise ServiceError("a service looks at pictures, and the frame has none")
+        workers = self._link.workers()
+        if not workers:
+            raise ServiceError("the service has gone: no worker is left")
+        stamp = FrameStamp(self._drone, self._boot_id, sequence, self._clock.now_ns(), BUDGET_NS)
+        message = pack(compress(frame), stamp)
+        with self._changed:
+            self._results.clear()
+        self._link.send(workers[0], message, BUDGET_NS)
+        with self._changed:
+            if not self._changed.wait_for(lambda: sequence in self._results, ANSWER_S):
+                raise ServiceError(f"no answer to frame {sequence} within {ANSWER_S:g} s")
+            result = self._results.pop(sequence)
+        return Look(result.outcome, result.target, len(message))
+
+    def _on_workers(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def _on_message(self, message: bytes, t4_ns: int) -> None:
+        try:
+            kind, body = unseal(message, Kind.RESULT, Kind.ACK, Kind.PROBE, Kind.STATUS)
+            result = decode_result(body) if kind is Kind.RESULT else None
+        except DecodeError:
+            return
+        if result is None or (result.drone, result.boot_id) != (self._drone, self._boot_id):
+            return
+        with self._changed:
+            self._results[result.sequence] = result
+            self._changed.notify_all()
