@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
@@ -22,3 +24,18 @@ def d455() -> RgbdCamera:
         Pose.from_rotation(turn, np.array([-0.059, 0.0002, -0.0001])),
         f * BASELINE_M * 32,
     )
+
+
+def as_built(rig: RgbdCamera, rng: np.random.Generator) -> RgbdCamera:
+    """The rig as it truly is where its calibration says ``rig``: what a world is drawn through.
+
+    Focal lengths are off by a tenth of a percent and principal points by a third of a pixel, as a
+    factory's calibration is after some months of flying.
+    """
+
+    def truly(i: CameraIntrinsics) -> CameraIntrinsics:
+        scale, aspect = 1 + rng.normal(0, 1e-3), 1 + rng.normal(0, 2e-4)
+        cx, cy = rng.normal((i.cx, i.cy), 0.3)
+        return replace(i, fx=i.fx * scale, fy=i.fy * scale * aspect, cx=float(cx), cy=float(cy))
+
+    return replace(rig, color=truly(rig.color), depth=truly(rig.depth))

@@ -145,9 +145,10 @@ class ColorCamera:
         depth = view.depth_m[_COARSE // 2 :: _COARSE, _COARSE // 2 :: _COARSE]
         through = np.exp(np.float32(-light.haze_per_m) * np.minimum(depth, np.float32(200.0)))
         haze = np.square(np.asarray(light.haze_rgb, np.float32))
-        # haze is lit as what stands in it: in a dark tunnel it is dark
-        hanging = (1 - through)[..., None] * haze * np.float32(lift)
-        glow = self._dust(light, rng, through.shape)
+        # haze and dust are lit as what stands in them: where no lamp shines they are not seen
+        lift_of_air = lift * _lit(light, lamps_out)
+        hanging = (1 - through)[..., None] * haze * np.float32(lift_of_air)
+        glow = self._dust(light, rng, lift_of_air)
         for direction, strength in _glares(view, light, lamps_out):
             glow = glow + self._glare(view.intrinsics, direction, strength * lift)
         added = hanging + glow[..., None] * np.array([1.0, 0.96, 0.88], np.float32)
@@ -156,16 +157,16 @@ class ColorCamera:
             np.asarray(added * self._vignette[..., None], dtype=np.float32),
         )
 
-    def _dust(self, light: Light, rng: np.random.Generator, shape: tuple[int, int]) -> Floats:
+    def _dust(self, light: Light, rng: np.random.Generator, lift: float) -> Floats:
         """Grains that drift through the light close to the lens, out of focus."""
-        layer = np.zeros(shape, np.float32)
+        layer = np.zeros(self._vignette.shape, np.float32)
         for _ in range(int(rng.poisson(light.dust))):
-            x, y = rng.uniform((0, 0), shape[::-1])
+            x, y = rng.uniform((0, 0), layer.shape[::-1])
             radius = 0.5 * 2.0 ** rng.exponential(0.7)
-            bright = float(0.12 / (1 + radius**2) * rng.uniform(0.3, 1.5))
+            bright = float(min(0.05 * lift, 0.25) / radius * rng.uniform(0.3, 1.5))
             place = (int(x * 16), int(y * 16))
             cv2.circle(layer, place, int(radius * 16), bright, -1, shift=4)
-        return layer
+        return np.asarray(cv2.GaussianBlur(layer, (0, 0), 0.8), dtype=np.float32)
 
     def _glare(self, i: CameraIntrinsics, direction: Array, strength: float) -> Floats:
         """What a lens makes of a lamp: a core, a veil over all, ghosts across the middle."""
@@ -243,6 +244,13 @@ def _glares(view: View, light: Light, lamps_out: frozenset[str]) -> list[tuple[A
         if _in_view(direction, view, np.inf):
             seen.append((direction, light.sun.strength))
     return seen
+
+
+def _lit(light: Light, lamps_out: frozenset[str]) -> float:
+    """Share of the lamps that shine; all of the light where there are none but the sun."""
+    if not light.lamps:
+        return 1.0
+    return sum(lamp.name not in lamps_out for lamp in light.lamps) / len(light.lamps)
 
 
 def _of_lamp(lamp: Lamp, away_m: float) -> float:

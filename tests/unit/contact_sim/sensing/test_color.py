@@ -221,3 +221,21 @@ def test_dust_adds_light_in_few_places():
     clear = CAMERA.expose(flat(30), replace(CLEAR, dust=1e-9), LONGEST, stream(10, "x"))
     brighter = picture.mean(axis=2) > clear.mean() + 8
     assert 0.0005 < brighter.mean() < 0.1
+
+
+def test_dust_and_haze_are_not_seen_where_all_lamps_are_out():
+    """What hangs in the air is lit by the lamps alone; with half of them, half as much."""
+    lamps = tuple(Lamp(name, np.array([0.0, 0.0, -1.0]), 1.0) for name in ("a", "b"))
+    light = replace(CLEAR, haze_per_m=0.5, dust=60.0, lamps=lamps)
+    bare = replace(light, haze_per_m=0.0, dust=0.0)
+    view = flat(0)
+
+    def added(*out):
+        return light_of(
+            CAMERA.expose(view, light, LONGEST, stream(11, "x"), (0, 0), frozenset(out))
+        )
+
+    dark = light_of(CAMERA.expose(view, bare, LONGEST, stream(11, "x")))
+    assert added("a", "b") == pytest.approx(dark, rel=0.02)
+    assert added("a") - dark == pytest.approx(0.5 * (added() - dark), rel=0.05)
+    assert added() > 10 * dark
