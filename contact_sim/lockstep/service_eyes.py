@@ -44,6 +44,7 @@ class ServiceEyes:
         self._drone = drone
         self._clock = MonotonicClock()
         self._boot_id = secrets.randbits(62)
+        self._next = 0
         self._changed = threading.Condition()
         self._results: dict[int, Result] = {}
         self._link: Link = open_link(settings, self._clock)
@@ -80,15 +81,17 @@ class ServiceEyes:
         workers = self._link.workers()
         if not workers:
             raise ServiceError("the service has gone: no worker is left")
-        stamp = FrameStamp(self._drone, self._boot_id, sequence, self._clock.now_ns(), BUDGET_NS)
+        # A number of its own: a worker takes none twice, and flights count from zero
+        number, self._next = self._next, self._next + 1
+        stamp = FrameStamp(self._drone, self._boot_id, number, self._clock.now_ns(), BUDGET_NS)
         message = pack(compress(frame), stamp)
         with self._changed:
             self._results.clear()
         self._link.send(workers[0], message, BUDGET_NS)
         with self._changed:
-            if not self._changed.wait_for(lambda: sequence in self._results, ANSWER_S):
+            if not self._changed.wait_for(lambda: number in self._results, ANSWER_S):
                 raise ServiceError(f"no answer to frame {sequence} within {ANSWER_S:g} s")
-            result = self._results.pop(sequence)
+            result = self._results.pop(number)
         return Look(result.outcome, result.target, len(message))
 
     def _on_workers(self) -> None:
