@@ -6,7 +6,9 @@
     ├── WorldError       a world, a board or a seed that there is not
     ├── RenderError      no OpenGL that could draw without a screen, or a drawing that failed
     ├── VehicleError     a drone that cannot be built, or a command that it cannot take
-    └── ServiceError     no service to fly with
+    ├── ServiceError     no service to fly with
+    └── HilError         a PX4 that hangs or speaks something else, or a port that is taken
+        └── PeerGoneError    it went: the end of a flight, and no fault
 """
 
 from __future__ import annotations
@@ -30,3 +32,11 @@ class VehicleError(SimulatorError):
 
 class ServiceError(SimulatorError):
     """A service could not be started, or reached, or the way to it is none that there is."""
+
+
+class HilError(SimulatorError):
+    """An autopilot outside cannot be spoken with: a port, a protocol, or its silence."""
+
+
+class PeerGoneError(HilError):
+    """The autopilot outside has closed its connection, or died."""
