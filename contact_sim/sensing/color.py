@@ -163,7 +163,7 @@ class ColorCamera:
         for _ in range(int(rng.poisson(light.dust))):
             x, y = rng.uniform((0, 0), layer.shape[::-1])
             radius = 0.5 * 2.0 ** rng.exponential(0.7)
-            bright = float(min(0.05 * lift, 0.25) / radius * rng.uniform(0.3, 1.5))
+            bright = float(min(0.05 * lift, 0.12) / max(radius, 1.0) * rng.uniform(0.3, 1.5))
             place = (int(x * 16), int(y * 16))
             cv2.circle(layer, place, int(radius * 16), bright, -1, shift=4)
         return np.asarray(cv2.GaussianBlur(layer, (0, 0), 0.8), dtype=np.float32)
