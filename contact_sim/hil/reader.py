@@ -58,6 +58,9 @@ class Reader:
             if kind == "BAD_DATA":
                 self._count_garbage(len(message.data))
                 continue
+            if kind.startswith("UNKNOWN"):  # of which pymavlink checks no checksum
+                self._count_garbage(len(message.get_msgbuf()))
+                continue
             self._garbage = 0
             self.system = message.get_srcSystem()
             word = self._word(kind, message)
