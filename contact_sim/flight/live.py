@@ -15,6 +15,7 @@ from rgbd_wire.clock import Clock
 
 TURN_STEPS: Final = 2
 """Between two looks at what is commanded: 4 ms, the rate of the vehicle's own loops."""
+TURN_NS: Final = TURN_STEPS * STEP_NS
 LATE_NS: Final = 250_000_000
 """More than so much is not made up for at once: simulated time slips against the clock."""
 JOIN_S: Final = 5.0
@@ -91,24 +92,29 @@ class LiveSimulation:
 
     def _catch_up(self) -> int:
         """Step up to now; returns the time until the next turn is due [ns]."""
-        turn_ns = TURN_STEPS * STEP_NS
         while not self._stopping.is_set():
-            with self._lock:
-                now_ns = self._clock.now_ns()
-                behind_ns = now_ns - self._offset_ns - self._simulation.t_ns
-                if behind_ns < turn_ns:
-                    self._heard_ns = now_ns
-                    return turn_ns - behind_ns
-                if behind_ns > LATE_NS:
-                    self._offset_ns += behind_ns - LATE_NS
-                    self.slipped_ns += behind_ns - LATE_NS
-                self._turn()
+            if (left_ns := self._left_ns()) > 0:
+                return left_ns
+            self._turn()
         return 0
 
+    def _left_ns(self) -> int:
+        """Time until the next turn is due; what is later than can be made up for slips."""
+        with self._lock:
+            now_ns = self._clock.now_ns()
+            behind_ns = now_ns - self._offset_ns - self._simulation.t_ns
+            if behind_ns < TURN_NS:
+                self._heard_ns = now_ns
+            elif behind_ns > LATE_NS:
+                self._offset_ns += behind_ns - LATE_NS
+                self.slipped_ns += behind_ns - LATE_NS
+            return TURN_NS - behind_ns
+
     def _turn(self) -> None:
-        simulation = self._simulation
-        at_ns = simulation.t_ns + self._offset_ns
-        wanted = self.rules.wanted(at_ns)
-        simulation.set_velocity(wanted.velocity_world, wanted.yaw_rate_radps)
-        simulation.step(TURN_STEPS)
-        self._on_turn(simulation, at_ns + TURN_STEPS * STEP_NS)
+        with self._lock:
+            simulation = self._simulation
+            at_ns = simulation.t_ns + self._offset_ns
+            wanted = self.rules.wanted(at_ns)
+            simulation.set_velocity(wanted.velocity_world, wanted.yaw_rate_radps)
+            simulation.step(TURN_STEPS)
+            self._on_turn(simulation, at_ns + TURN_NS)

@@ -67,20 +67,7 @@ class HilFlight:
             HilError: it cannot be spoken with.
             VehicleError: the physics have diverged.
         """
-        self.obey(self.ask())
-
-    def ask(self) -> Controls | None:
-        """The first half of a turn: what is to be flown now; None: nothing was said yet.
-
-        It waits for the answer, and touches the simulation only before that.
-        """
-        data = self.question()
-        if data is None:
-            return None
-        controls = self.lockstep.ask(self.simulation.t_ns // 1000, data)
-        for wish in self.lockstep.wishes:
-            self._outgoing.heed(wish)
-        return controls
+        self.obey(self.exchange(self.question()))
 
     def question(self) -> bytes | None:
         """What to ask now; None: nothing, at the very beginning."""
@@ -95,8 +82,20 @@ class HilFlight:
         )
         return self._outgoing.question(simulation, reading)
 
+    def exchange(self, question: bytes | None) -> Controls | None:
+        """Ask, and wait for the answer: what is to be flown now; None: nothing was said yet.
+
+        The only part of a turn that waits, and it touches nothing of the simulation.
+        """
+        if question is None:
+            return None
+        controls = self.lockstep.ask(self.simulation.t_ns // 1000, question)
+        for wish in self.lockstep.wishes:
+            self._outgoing.heed(wish)
+        return controls
+
     def obey(self, controls: Controls | None) -> None:
-        """The second half of a turn: turn the rotors, and let 4 ms pass."""
+        """Turn the rotors, and let 4 ms pass."""
         if controls is not None:
             self.armed_turns += controls.armed
             self.simulation.set_rotors(self._motors.thrusts(controls, self.faults))
