@@ -1,0 +1,45 @@
+"""A simulation in real time whose rotors are turned by an autopilot outside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from contact_sim.flight.live import TURN_NS, LiveSimulation
+from contact_sim.hil.flight import HilFlight
+from contact_sim.simulation import Simulation
+from rgbd_wire.clock import Clock
+
+
+class HilLive(LiveSimulation):
+    """Steps as its autopilot answers, and no faster than the clock.
+
+    While an answer is waited for, time stands still, and whoever looks into the simulation does not
+    wait for it. An autopilot that goes or hangs is the end: ``error`` says so, and time stands
+    still for good.
+    """
+
+    def __init__(
+        self,
+        flight: HilFlight,
+        clock: Clock,
+        on_turn: Callable[[Simulation, int], None] = lambda simulation, now_ns: None,
+    ) -> None:
+        """Take a flight over, at its beginning.
+
+        Args:
+            flight: nobody else turns it.
+            clock: the drone's.
+            on_turn: called after every turn, with the lock held.
+        """
+        super().__init__(flight.simulation, clock, on_turn)
+        self._flight = flight
+
+    def _turn(self) -> None:
+        flight = self._flight
+        with self._lock:
+            question = flight.question()
+        controls = flight.exchange(question)
+        with self._lock:
+            at_ns = flight.simulation.t_ns + self._offset_ns
+            flight.obey(controls)
+            self._on_turn(flight.simulation, at_ns + TURN_NS)
