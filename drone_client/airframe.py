@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,10 +14,11 @@ from drone_client.cbf.keep_out import BodyPart, KeepOut, PlaneFrame
 from drone_client.cbf.keep_out_table import keep_outs_from
 from drone_client.errors import AirframeError
 from rgbd_wire.errors import GeometryError
-from rgbd_wire.geometry import Array, Pose
+from rgbd_wire.geometry import Array, Pose, rotation_from_vector
 
 FLU_FROM_RDF = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation of a camera that looks straight ahead: its z is the body's x, its x the body's -y."""
+CAMERA_DOWN_RAD = math.radians(10.0)
 MAX_AIRFRAME_BYTES = 65_536
 MAX_ARM_M = 5.0
 """Nothing on a drone is further than this from its body; metres are easily mistaken."""
@@ -44,9 +46,14 @@ class Airframe:
     """Fixed transforms of the drone; the defaults are those of the simulated one."""
 
     body_from_camera: Pose = field(
-        default_factory=lambda: Pose.from_rotation(FLU_FROM_RDF, np.array([0.12, 0.0, 0.05]))
+        default_factory=lambda: Pose.from_rotation(
+            rotation_from_vector(np.array([0.0, CAMERA_DOWN_RAD, 0.0])) @ FLU_FROM_RDF,
+            np.array([0.12, 0.0, 0.1]),
+        )
     )
-    """Colour camera (RDF) in the body (FLU)."""
+    """Colour camera (RDF) in the body (FLU). Well above the arm and turned down: nearer to it, the
+    arm hides the middle of a target that is some metres away; level, the target's lower edge leaves
+    the picture before the touch."""
     body_from_tip: Pose = field(
         default_factory=lambda: Pose(np.array([0.55, 0.0, 0.0]), Pose.identity().q_wxyz)
     )

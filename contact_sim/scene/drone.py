@@ -32,6 +32,10 @@ ARM = Arm()
 """The arm that the client expects; stiffness, damping and travel are its."""
 TIP_MASS_KG = 0.04
 TIP_RADIUS_M = 0.012
+MATTE = "drone/rubber"
+"""What does not shine: a bright spot on the tip looks like a ring of the target."""
+LAMP_ABOVE_M = 0.04
+LAMP_RGB = (0.26, 0.26, 0.27)
 ROD_RADIUS_M = 0.004
 ROD_FROM_M = 0.14
 """Where along the body's x the rod comes out of its tube."""
@@ -75,6 +79,7 @@ def add_drone(
             f" at least {ROD_FROM_M + ARM.travel_m:g} m are needed"
         )
     _set_physics(spec)
+    spec.add_material(name=MATTE, specular=0.0, shininess=0.0)
     body = spec.worldbody.add_body(
         name="drone", pos=world_from_body.translation, quat=world_from_body.q_wxyz
     )
@@ -90,6 +95,7 @@ def add_drone(
     _add_camera(body, "drone/color", airframe.body_from_camera, rig.color)
     body_from_depth = airframe.body_from_camera @ rig.color_from_depth
     _add_camera(body, "drone/depth", body_from_depth, rig.depth)
+    _add_lamp(body, airframe.body_from_camera)
     body.add_site(name="drone/imu", group=TOUCHED_GROUP)
     body.add_site(name="drone/lidar_down", pos=(0.0, 0.0, -LIDAR_DROP_M), group=TOUCHED_GROUP)
     body.add_site(
@@ -194,7 +200,8 @@ def _add_arm(body: mujoco.MjsBody, tip: Pose) -> None:
         name="drone/tip",
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=(TIP_RADIUS_M, 0.0, 0.0),
-        rgba=(0.15, 0.15, 0.15, 1.0),
+        material=MATTE,
+        rgba=(0.06, 0.06, 0.06, 1.0),
         group=SEEN_GROUP,
         contype=_DRONE_BIT,
         conaffinity=_WORLD_BIT,
@@ -211,6 +218,7 @@ def _add_arm(body: mujoco.MjsBody, tip: Pose) -> None:
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
         fromto=(*(-max(length_m, 0.01) * axis), 0.0, 0.0, 0.0),
         size=(ROD_RADIUS_M, 0.0, 0.0),
+        material=MATTE,
         rgba=(0.05, 0.05, 0.05, 1.0),
         group=SEEN_GROUP,
         contype=0,
@@ -233,6 +241,23 @@ def _add_rotors(spec: mujoco.MjSpec, body: mujoco.MjsBody, discs: tuple[BodyPart
             dyntype=mujoco.mjtDyn.mjDYN_FILTEREXACT,
             dynprm=(LAG_S, *([0.0] * 9)),
         )
+
+
+def _add_lamp(body: mujoco.MjsBody, body_from_camera: Pose) -> None:
+    """A lamp beside the camera, as drones in tunnels carry one: it lights what is near."""
+    body.add_light(
+        name="drone/lamp",
+        type=mujoco.mjtLightType.mjLIGHT_SPOT,
+        pos=body_from_camera.translation + (0.0, 0.0, LAMP_ABOVE_M),
+        dir=body_from_camera.rotation[:, 2],
+        cutoff=60.0,
+        exponent=4.0,
+        diffuse=LAMP_RGB,
+        specular=LAMP_RGB,
+        attenuation=(0.3, 0.0, 1.0),
+        castshadow=0,
+        range=20.0,
+    )
 
 
 def _add_camera(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from contact_sim.chance import stream
 from contact_sim.scene import Light, Snapshot
+from contact_sim.sensing import as_built
 from contact_sim.sensing.color import ColorCamera, Exposure, swept_px
 from contact_sim.sensing.depth import measured
 from contact_sim.sensing.renderer import COLOR_CAMERA, Renderer
@@ -44,7 +45,8 @@ class RgbdModel:
             light: of the world.
             seed: of noise, dust and holes.
         """
-        self._renderer = Renderer(model, rig)
+        # The world is seen through the camera as it is, and told through the one on its paper
+        self._renderer = Renderer(model, as_built(rig, stream(seed, "rig")))
         self._rig = rig
         self._light = light
         self._color_rng = stream(seed, "color")

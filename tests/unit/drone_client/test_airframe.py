@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from drone_client.airframe import FLU_FROM_RDF, MAX_AIRFRAME_BYTES, Airframe, load_airframe
 from drone_client.cbf import FilterSettings
@@ -36,9 +37,10 @@ def test_what_is_left_out_keeps_its_default(tmp_path):
     np.testing.assert_array_equal(airframe.body_from_tip.matrix, default.body_from_tip.matrix)
 
 
-def test_the_default_camera_looks_ahead():
-    """The optical axis is the body's x, the picture's right the body's right (-y), down its -z."""
-    turn = Airframe().body_from_camera.rotation
+def test_the_default_camera_looks_ahead_and_down():
+    """Level, the optical axis is the body's x, the picture's right its -y, down its -z."""
+    down = Rotation.from_euler("y", 10.0, degrees=True).as_matrix()
+    turn = down.T @ Airframe().body_from_camera.rotation
     np.testing.assert_allclose(turn @ (0, 0, 1), (1, 0, 0), atol=1e-12)
     np.testing.assert_allclose(turn @ (1, 0, 0), (0, -1, 0), atol=1e-12)
     np.testing.assert_allclose(turn @ (0, 1, 0), (0, 0, -1), atol=1e-12)
