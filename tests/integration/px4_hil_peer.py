@@ -274,12 +274,17 @@ class Peer:
             rows = matrix(e.q)
             self.pilot.yaw = math.atan2(rows[1][0], rows[0][0])
             self.ground = e.p
-        climbed = min(1.0, (t_us - self.armed_us) / 4e6)
-        self.pilot.goal = add(self.ground, (0.0, 0.0, -o.height_m * climbed))
-        self.pilot.goal_v = (0.0, 0.0, -o.height_m / 4.0 if climbed < 1.0 else 0.0)
+        self.aim(t_us)
         if len(self.report["track"]) < 2000 and self.answers % 25 == 0:
             self.report["track"].append([t_us / 1e6, *e.p])
         return self.pilot.motors(e, 0.004)
+
+    def aim(self, t_us):
+        """Where to be now."""
+        o = self.options
+        climbed = min(1.0, (t_us - self.armed_us) / 4e6)
+        self.pilot.goal = add(self.ground, (0.0, 0.0, -o.height_m * climbed))
+        self.pilot.goal_v = (0.0, 0.0, -o.height_m / 4.0 if climbed < 1.0 else 0.0)
 
     def answer(self, t_us, motors):
         """HIL_ACTUATOR_CONTROLS; False: it has had enough."""
