@@ -188,13 +188,13 @@ def status_line(session: Session) -> str:
     if exchange.newest is None:
         how = "boots, says nothing yet"
     line = (
-        f"{t_s:7.2f} s ({t_s / took_s:.2f} x real time)  {how}  "
-        f"x {x:.2f} y {y:.2f} z {z:.2f} m  {math.hypot(*truth.velocity_world):.2f} m/s"
+        f"{t_s:.1f} s ({t_s / took_s:.2f} x)  {how}  "
+        f"({x:.2f}, {y:.2f}, {z:.2f}) m  {math.hypot(*truth.velocity_world):.2f} m/s"
     )
     if truth.tip_force_n > 0.0:
         line += f"  tip {truth.tip_force_n:.1f} N"
     missing = exchange.counts["unanswered"]
-    return line + (f"  unanswered {missing}" if missing else "")
+    return line + (f"  {missing} missed" if missing else "")
 
 
 def address_of(text: str) -> tuple[str, int]:
@@ -231,6 +231,6 @@ def _rows(report: FlightReport) -> list[tuple[str, str]]:
         ("simulated", f"{report.simulated_s:.2f} s in {report.took_s:.2f} s"),
         ("armed", f"{report.armed_s:.2f} s"),
         ("contact", touch),
-        ("collisions", ", ".join(outcome.collisions) or "none"),
+        ("touched", ", ".join(outcome.collisions) or "nothing"),
         ("exchange", counts),
     ]
