@@ -40,6 +40,7 @@ from drone_client.source.record_command import record
 from drone_client.summary_table import print_summary
 from drone_client.tally import Tally
 from drone_client.truth import load_truth
+from drone_client.viewing.command import log
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.errors import WireError
 from rgbd_wire.messages import Outcome
@@ -249,6 +250,7 @@ app.command(no_args_is_help=True)(fly)
 app.command()(doctor)
 app.command(no_args_is_help=True)(calibrate)
 app.command(no_args_is_help=True)(record)
+app.command(no_args_is_help=True)(log)
 
 
 def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:

@@ -24,6 +24,7 @@ from drone_client.fly.run import FlyOptions
 from drone_client.fly.run import fly as run_fly
 from drone_client.fly.simulator import Simulator, SimulatorRequest, open_simulator
 from drone_client.fly.terminal import TerminalCockpit
+from drone_client.fly.views import checked, told, write_views
 from drone_client.link.choose import link_summary, open_link
 from drone_client.mission import Phase
 from drone_client.ros.names import Flavour
@@ -32,6 +33,8 @@ from drone_client.settings import ClientSettings, about, load_settings
 from drone_client.source.choose import REALSENSE
 from drone_client.summary_table import print_summary
 from drone_client.tuning import load_tuning
+from drone_client.viewing.facts import facts_of
+from drone_client.viewing.recorder import FlightRecorder
 from rgbd_wire.clock import MonotonicClock
 
 EXIT_NOT_DONE = 3
@@ -133,6 +136,24 @@ def fly(
     plot: Annotated[
         bool, typer.Option("--plot/--no-plot", help="draw run.png beside the ledger")
     ] = True,
+    video: Annotated[
+        Path | None,
+        typer.Option(help="film of the simulated flight: .mp4 or .webm", show_default=False),
+    ] = None,
+    mcap: Annotated[
+        Path | None, typer.Option(help="MCAP file of the flight, for Foxglove", show_default=False)
+    ] = None,
+    rerun: Annotated[
+        Path | None, typer.Option(help="Rerun recording (.rrd) of the flight", show_default=False)
+    ] = None,
+    foxglove: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[HOST:]PORT",
+            help="serve the flight live to Foxglove, such as 8765",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the summary as JSON")] = False,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="an earlier run in the same folder may go")
@@ -149,6 +170,9 @@ def fly(
     With --sim the same client flies a simulated drone, through a real service that is started for
     it, or the one of --connect; nobody is asked.
 
+    --mcap, --rerun and --video are written when the flight is over, from the run's folder;
+    drone-client log writes the first two again at any time.
+
     Exit code 0: touched and back. 3: the mission ended otherwise, or nobody agreed.
 
     Example: drone-client fly --airframe drone.toml --autopilot serial//dev/ttyACM0:921600
@@ -158,6 +182,7 @@ def fly(
     console = Console(stderr=True)
     if sim is None:
         _check_real(airframe, emulated_link, asks=not (yes or dry_run))
+    views = checked(video, mcap, rerun, foxglove, simulated=sim is not None, overwrite=overwrite)
     clock = MonotonicClock()
     with ExitStack() as stack:
         stack.enter_context(_heeding_hang_up())
@@ -207,8 +232,16 @@ def fly(
         ros = open_ros(settings, clock)
         if ros is not None:
             stack.callback(ros.close)
-        summary = run_fly(
+        recorder = FlightRecorder(
             robot.camera,
+            robot.vehicle.state,
+            out,
+            partial(facts_of, settings, body, parts.control.filter.funnel),
+            pictures=views.wants_pictures,
+            live=views.live,
+        )
+        summary = run_fly(
+            recorder,
             robot.vehicle,
             body,
             settings,
@@ -219,8 +252,9 @@ def fly(
             cockpit,
             (lambda reception: None) if ros is None else partial(publish_accepted, ros),
             robot.odometry,
-            dict if world is None else lambda: {"simulated": world.report()},
+            partial(told, recorder, world),
         )
+        write_views(views, out, summary, world, console, overwrite=overwrite)
     if as_json:
         print(json.dumps(summary, indent=2))
     else:

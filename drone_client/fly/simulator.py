@@ -7,6 +7,7 @@ gives a ``Simulator``.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -35,7 +36,7 @@ class SimulatorRequest:
     drone: str
     """This drone's name."""
     folder: Path
-    """For logs and keys."""
+    """For logs, keys, and how it truly was."""
     starts_service: bool
     """No service was named: start one."""
 
@@ -79,6 +80,19 @@ class Simulator(Protocol):
 
     def report(self) -> dict[str, Any]:
         """What the flight truly came to; may be asked at any time."""
+        ...
+
+    def film(self, run: Path, path: Path, on_progress: Callable[[float], None]) -> None:
+        """Let the world stand still, and draw the flight that is over into a video.
+
+        Args:
+            run: folder of the run.
+            path: of the video; its suffix says which kind.
+            on_progress: told the share that is done, now and then.
+
+        Raises:
+            WorldError: it cannot be drawn here, or not be written.
+        """
         ...
 
     def close(self) -> None:
