@@ -22,7 +22,6 @@ INTERVALS_NS: Final = {
     mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION: 20_000_000,
 }
 """Simulated time from one to the next, in the order in which they leave."""
-SHORTEST_NS: Final = 4_000_000
 LONGEST_US: Final = 3.6e9
 OWN_SYSTEM, OWN_COMPONENT = 1, mav.MAV_COMP_ID_USER1
 
@@ -107,4 +106,4 @@ def _interval_ns(wish: Interval) -> int | None:
         return None
     if wish.interval_us == 0.0:
         return INTERVALS_NS[wish.message]
-    return max(SHORTEST_NS, round(min(wish.interval_us, LONGEST_US) * 1000.0))
+    return round(min(wish.interval_us, LONGEST_US) * 1000.0)

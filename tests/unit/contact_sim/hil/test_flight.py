@@ -39,6 +39,7 @@ class Obedient:
 
     def receive(self, _timeout_s: float) -> bytes:
         answer, self._answer = self._answer, b""
+        assert answer, "an answer was said, and not taken for one"
         return answer
 
 
@@ -95,6 +96,7 @@ def test_what_was_said_last_is_flown_on_without_an_answer():
     for _ in range(50):
         flown.obey(None)
     assert flown.simulation.truth.velocity_world[2] > 0.5
+    flown.obey(Controls(8000, (1.0,) * 4, armed=False, lockstep=True))
     assert flown.armed_turns == 1
 
 
