@@ -32,7 +32,8 @@ from drone_client.promptness import yield_soon
 from drone_client.reception import Reception
 from drone_client.run_report import report, take_down
 from drone_client.settings import ClientSettings
-from drone_client.source import LiveSource
+from drone_client.source import Capture, LiveSource
+from drone_client.source.frozen import FrozenWatch
 from rgbd_wire.clock import Clock
 from rgbd_wire.frame import RgbdFrame
 
@@ -87,6 +88,8 @@ class _Run:
         self._vehicle = vehicle
         self._clock = clock
         self._ledger = ledger
+        self._frozen = FrozenWatch()
+        self._was_frozen = False
         self._stopping = threading.Event()
         self._pump = threading.Thread(target=self._run_pump, name="camera", daemon=True)
         believed = parts.odometry
@@ -123,6 +126,11 @@ class _Run:
         self._pump.start()
 
     @property
+    def frozen_pictures(self) -> int:
+        """Pictures that were not sent, as they were the same as the one before."""
+        return self._frozen.frozen
+
+    @property
     def has_begun(self) -> bool:
         """Whether the vehicle has been ours."""
         mission = None if self.decision is None else self.decision.mission
@@ -151,7 +159,7 @@ class _Run:
             for capture in self._source.captures(PICTURE_S):
                 if self._stopping.is_set():
                     return
-                if capture is None:
+                if capture is None or self._is_frozen(capture):
                     continue
                 frame = RgbdFrame(
                     color_rgb=capture.color_rgb,
@@ -169,12 +177,30 @@ class _Run:
             self.sentences.put(f"no more pictures: {error}")
             self._ledger.event(self._clock.now_ns(), "camera_lost", error=str(error))
 
+    def _is_frozen(self, capture: Capture) -> bool:
+        """Whether it is the last picture again; told once for each time that it begins."""
+        if not self._frozen.see(capture.color_rgb):
+            self._was_frozen = False
+            return False
+        if not self._was_frozen:
+            self._was_frozen = True
+            self.sentences.put("the camera gives the same picture again: it is not sent")
+            self._ledger.event(self._clock.now_ns(), "camera_frozen", capture=capture.name)
+        return True
+
     def _senses(self, now_ns: int) -> Senses:
         # a vehicle that hears nothing of us obeys nobody, and is flown as if there were none
         heard = None if isinstance(self._vehicle, Unheard) else self._vehicle.state()
         forward_m = None if self.feed is None else self.feed.tick(now_ns)
         jumped = self._pose.jumped(now_ns) or self.flight.receiver.lost is not None
-        return Senses(heard, odometry_jumped=jumped, forward_m=forward_m, order=self.orders.now)
+        silent = self.feed is not None and self.feed.silent(now_ns)
+        return Senses(
+            heard,
+            odometry_silent=silent,
+            odometry_jumped=jumped,
+            forward_m=forward_m,
+            order=self.orders.now,
+        )
 
     def _on_jump(self, jump: Jump) -> None:
         self._take_jump("odometry_jumped", jump)
@@ -277,7 +303,7 @@ def fly(
         "phase": None if mission is None else mission.phase.value,
         "reason": None if mission is None else mission.reason.value,
         "attempts": 0 if mission is None else mission.attempts,
-        "camera": source.counts(),
+        "camera": source.counts() | {"frozen": run.frozen_pictures},
         "camera_error": None if run.camera_error is None else str(run.camera_error),
         **({} if run.feed is None else {"odometry": run.feed.counts()}),
         **at_end,

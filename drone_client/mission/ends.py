@@ -63,6 +63,11 @@ def _ordered(
             lacks = waits_for(obs, settings) or "no vehicle took commands"
             return Reason.WAITED_TOO_LONG, f"{lacks}, after {settings.waiting_max_s:g} s of waiting"
         return None
+    if obs.senses.odometry_silent:
+        return (
+            Reason.ODOMETRY_SILENT,
+            "the VIO has fallen silent: backs off while the IMU still leads",
+        )
     battery = None if obs.senses.vehicle is None else obs.senses.vehicle.battery_fraction
     if battery is not None and battery < settings.battery_min:  # not said, or NaN: not known
         return (

@@ -84,6 +84,8 @@ class Reason(StrEnum):
     FAILSAFE = "failsafe"
     VEHICLE_SILENT = "vehicle_silent"
     BATTERY_LOW = "battery_low"
+    ODOMETRY_SILENT = "odometry_silent"
+    """Without VIO the autopilot flies by its IMU alone, and drifts more with every second."""
     ORDERED_ABORT = "ordered_abort"
     WAITED_TOO_LONG = "waited_too_long"
     SEARCH_TOO_LONG = "search_too_long"

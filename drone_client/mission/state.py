@@ -42,6 +42,8 @@ class Senses:
 
     vehicle: VehicleState | None = None
     """What the autopilot said last; None: never heard."""
+    odometry_silent: bool = False
+    """The robot's VIO says nothing any more."""
     odometry_jumped: bool = False
     """The odometry's world has moved, and what was known in it does not hold."""
     forward_m: float | None = None

@@ -17,6 +17,8 @@ from drone_client.odometry.jump import Jump, JumpSettings, JumpWatch, Motion
 from drone_client.odometry.lidar import Lidar, LidarSettings
 from drone_client.odometry.source import OdometrySource
 
+SILENT_NS = 500_000_000
+"""A VIO that has said nothing new for so long has fallen silent: some ten samples of a slow one."""
 MAX_RESETS = 256
 """MAVLink counts in one byte."""
 
@@ -77,6 +79,12 @@ class OdometryFeed:
             self._pass_range("height", self._source.height(), self.height)
             self._pass_range("ahead", self._source.ahead(), self.ahead)
             return self.ahead.forward_m(now_ns)
+
+    def silent(self, now_ns: int) -> bool:
+        """Whether a VIO that was heard before is not heard any more. One that was never is not."""
+        with self._lock:
+            newest = self._watch.newest
+        return newest is not None and now_ns - newest.t_ns > SILENT_NS
 
     def counts(self) -> dict[str, int]:
         """What was given and what was not, for the summary."""

@@ -78,6 +78,8 @@ class PacedCamera:
     def __init__(self) -> None:
         self.given = 0
         self.breaks = threading.Event()
+        self.hangs = threading.Event()
+        """It gives the last picture again and again, with new stamps."""
         self._stop = threading.Event()
 
     def start(self) -> None:
@@ -85,11 +87,15 @@ class PacedCamera:
 
     def captures(self, timeout_s: float) -> Iterator[Capture | None]:
         f = frame()
+        color = f.color_rgb
         while not self._stop.wait(FRAME_S):
             if self.breaks.is_set():
                 raise SourceError("the camera was pulled out")
             self.given += 1
-            yield Capture(CLOCK.now_ns(), f.color_rgb, f.depth_units, str(self.given))
+            if not self.hangs.is_set():
+                color = f.color_rgb.copy()
+                color[0, 0] = self.given % 251  # as little as two exposures may differ by
+            yield Capture(CLOCK.now_ns(), color.copy(), f.depth_units, str(self.given))
 
     def counts(self) -> dict[str, int]:
         return {"given": self.given}
@@ -323,6 +329,20 @@ def test_a_camera_that_breaks_ends_in_a_retreat(tmp_path):
     assert summary["phase"] == "abort"
     assert scene.vehicle.mode == "AUTO.LOITER"
     assert scene.vehicle.deepest_m > 0
+
+
+def test_a_camera_that_hangs_and_goes_on_giving_its_last_picture_ends_in_a_retreat(tmp_path):
+    """Its pictures are stamped anew, and not one of them is sent: what is known grows old."""
+    scene = Scene(tmp_path)
+    scene.when(Phase.APPROACH, scene.camera.hangs.set, nearer_than_m=0.3)
+    summary = scene.fly()
+    assert summary["phase"] == "abort"
+    assert summary["camera"]["frozen"] > 10
+    events = [e["event"] for e in scene.lines(EVENTS_NAME)]
+    assert events.count("camera_frozen") == 1
+    assert any("same picture" in told for told in scene.person.told)
+    assert "retreat" in scene.phases()
+    assert scene.vehicle.deepest_m > 0.0
 
 
 def test_a_camera_that_fails_in_a_way_nobody_thought_of_ends_in_a_retreat(tmp_path, caplog):

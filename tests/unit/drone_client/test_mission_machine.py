@@ -233,6 +233,7 @@ def test_a_pilot_after_the_end_is_left_alone(final) -> None:
         ({"order": Order.ABORT}, Reason.ORDERED_ABORT),
         ({"told": Told(Status.ABORT)}, Reason.FILTER_ABORT),
         ({"vehicle": vehicle(battery_fraction=0.19)}, Reason.BATTERY_LOW),
+        ({"odometry_silent": True}, Reason.ODOMETRY_SILENT),
     ],
 )
 def test_an_end_while_the_vehicle_is_ours_backs_off_first(phase, what, reason) -> None:

@@ -319,3 +319,18 @@ def test_the_command_line_names_the_topics(endpoint):
     source.close()
     with pytest.raises(LinkError, match="is no ROS 2 topic"):
         open_odometry(settings, ManualClock(NOW_NS), ahead_topic="a b")
+
+
+def test_a_vio_that_falls_silent_is_noticed_and_one_that_never_spoke_is_not() -> None:
+    """Half a second without anything new, or with what is no sample; then it speaks again."""
+    source = MemoryOdometry()
+    feed = OdometryFeed(source, Given())
+    feed.tick(SECOND)
+    assert not feed.silent(100 * SECOND)  # the autopilot has its own
+    source.newest_odometry = OdometrySample(SECOND, pose((1, 2, 3)), np.zeros(3))
+    feed.tick(SECOND)
+    assert not feed.silent(SECOND + 500 * MS)
+    assert feed.silent(SECOND + 501 * MS)
+    source.newest_odometry = OdometrySample(2 * SECOND, pose((1, 2, 3)), np.zeros(3))
+    feed.tick(2 * SECOND)
+    assert not feed.silent(2 * SECOND)
