@@ -7,6 +7,9 @@
     ├── RenderError      no OpenGL that could draw without a screen, or a drawing that failed
     ├── VehicleError     a drone that cannot be built, or a command that it cannot take
     ├── ServiceError     no service to fly with
+    ├── CampaignError    faults, tables or numbers of a campaign that cannot be
+    ├── FilmError        a flight that cannot be filmed: nothing recorded, no encoder, a full disk
+    ├── FigureError      a figure that cannot be drawn, or not be written
     └── HilError         a PX4 that hangs or speaks something else, or a port that is taken
         └── PeerGoneError    it went: the end of a flight, and no fault
 """
@@ -32,6 +35,18 @@ class VehicleError(SimulatorError):
 
 class ServiceError(SimulatorError):
     """A service could not be started, or reached, or the way to it is none that there is."""
+
+
+class CampaignError(SimulatorError):
+    """A campaign cannot be flown as asked, or its table not be written."""
+
+
+class FilmError(SimulatorError):
+    """A flight cannot be drawn into a video, or the video not be written."""
+
+
+class FigureError(SimulatorError):
+    """A figure cannot be drawn from what there is, or not be written."""
 
 
 class HilError(SimulatorError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from contact_sim.errors import RenderError
@@ -32,12 +32,25 @@ class SimulatedCamera:
         seed: int,
         clock: Clock,
         rate_hz: float = RATE_HZ,
+        on_start: Callable[[], None] = lambda: None,
     ) -> None:
+        """Take over the simulation's eyes.
+
+        Args:
+            live: the simulation.
+            rig: its cameras.
+            light: of its world.
+            seed: of noise, dust and holes.
+            clock: the drone's.
+            rate_hz: pictures a second.
+            on_start: called when a run begins.
+        """
         self._live = live
         self._rig = rig
         self._light = light
         self._seed = seed
         self._clock = clock
+        self._on_start = on_start
         self._period_ns = round(1e9 / rate_hz)
         self._stop = threading.Event()
         self._counts = {"given": 0, "dropped": 0}
@@ -49,6 +62,7 @@ class SimulatedCamera:
 
     def start(self) -> None:
         """Nothing to open: OpenGL belongs to the thread that takes the pictures."""
+        self._on_start()
 
     def captures(self, timeout_s: float) -> Iterator[Capture | None]:
         """A picture every period.

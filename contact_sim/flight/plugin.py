@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import secrets
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,14 @@ from contact_sim.flight.odometry import SimulatedOdometry
 from contact_sim.flight.outcome import Witness
 from contact_sim.flight.search import searching
 from contact_sim.flight.service import ServiceProcess, free_udp_port
+from contact_sim.hil.line import address_of
+from contact_sim.hil.outside import Outside
+from contact_sim.recording.truth import TruthWriter
 from contact_sim.scene import Scene, build_scene
 from contact_sim.sensing import d455
 from contact_sim.simulation import STEP_NS, Simulation, SimulationSettings
 from drone_client.airframe import Airframe
+from drone_client.autopilot import FlyingAutopilot
 from drone_client.errors import WorldError
 from drone_client.flight_settings import FlightSettings
 from drone_client.fly.simulator import SimulatorRequest
@@ -32,17 +37,42 @@ from rgbd_wire.clock import Clock
 class SimulatedWorld:
     """A ``Simulator`` of the client's."""
 
-    def __init__(self, scene: Scene, seed: int, clock: Clock) -> None:
-        """Build the drone into a scene; ``start`` lets time pass."""
+    def __init__(
+        self,
+        scene: Scene,
+        seed: int,
+        clock: Clock,
+        folder: Path,
+        outside: Outside | None = None,
+    ) -> None:
+        """Build the drone into a scene; ``start`` lets time pass.
+
+        Args:
+            scene: the world.
+            seed: of all that is drawn by chance in flight.
+            clock: the drone's.
+            folder: of the run; how it truly was is written there from the run's beginning on.
+            outside: a PX4 that is the vehicle, waited for here; None: the simulator's own.
+        """
         rig = d455()
-        # As on the real robot: the estimator hears of VIO and height through the client
-        settings = SimulationSettings(feeds_itself=False)
-        simulation = Simulation(scene, Airframe(), rig, seed, settings)
         self.scene = scene
         self.witness = Witness(scene.world_from_target)
-        self.live = LiveSimulation(simulation, clock, lambda s, now_ns: self.witness.look(s))
-        self.camera = SimulatedCamera(self.live, rig, scene.light, seed, clock)
-        self.vehicle = SimulatedVehicle(self.live, clock)
+        self.truth = TruthWriter(folder)
+        self.outside = outside
+        self.live: LiveSimulation
+        self.vehicle: FlyingAutopilot
+        if outside is None:
+            # As on the real robot: the estimator hears of VIO and height through the client
+            settings = SimulationSettings(feeds_itself=False)
+            simulation = Simulation(scene, Airframe(), rig, seed, settings)
+            self.live = LiveSimulation(simulation, clock, self._look)
+            self.vehicle = SimulatedVehicle(self.live, clock)
+        else:
+            self.live = outside.live(scene, Airframe(), rig, seed, self._look)
+            self.vehicle = outside.vehicle
+        self.camera = SimulatedCamera(
+            self.live, rig, scene.light, seed, clock, on_start=self.truth.begin
+        )
         self.odometry = SimulatedOdometry(self.live)
         self.reach: dict[str, Any] = {}
         self.stack = ExitStack()
@@ -64,7 +94,10 @@ class SimulatedWorld:
     def start(self) -> None:
         """Let time pass."""
         self.live.start()
+        self.stack.callback(self.truth.close)
         self.stack.callback(self.live.stop)
+        if self.outside is not None:
+            self.stack.callback(self.outside.close)  # given back while it still flies
 
     def report(self) -> dict[str, Any]:
         """What the flight truly came to, in which world."""
@@ -77,12 +110,33 @@ class SimulatedWorld:
             "facts": dict(self.scene.facts),
             "slipped_s": self.live.slipped_ns / 1e9,
             "error": None if error is None else str(error),
+            "unwritten": self.truth.problem,
+            **({} if self.outside is None else {"hil": self.outside.counts()}),
             **outcome.as_json(),
         }
+
+    def film(self, run: Path, path: Path, on_progress: Callable[[float], None]) -> None:
+        """Let the world stand still, and draw the flight that is over into a video.
+
+        Raises:
+            WorldError: it cannot be drawn here, or not be written.
+        """
+        from contact_sim.recording.film import film  # what it draws with is slow to load
+
+        self.live.stop()
+        self.truth.close()
+        try:
+            film(run, self.scene, path, on_progress)
+        except SimulatorError as error:
+            raise WorldError(str(error)) from None
 
     def close(self) -> None:
         """End all of it."""
         self.stack.close()
+
+    def _look(self, simulation: Simulation, now_ns: int) -> None:
+        self.witness.look(simulation)
+        self.truth.look(simulation, now_ns)
 
 
 def open_simulator(request: SimulatorRequest, clock: Clock) -> SimulatedWorld:
@@ -103,10 +157,13 @@ def _open(request: SimulatorRequest, clock: Clock) -> SimulatedWorld:
         raise ServiceError(
             "--link lies before a service that is started for the flight: leave --connect out"
         )
-    world = SimulatedWorld(
-        build_scene(request.world, request.seed, request.board), request.seed, clock
-    )
+    scene = build_scene(request.world, request.seed, request.board)
     with contextlib.ExitStack() as undo:
+        outside = None
+        if request.hil is not None:
+            outside = Outside(*address_of(request.hil), request.autopilot, clock)
+            undo.callback(outside.close)
+        world = SimulatedWorld(scene, request.seed, clock, request.folder, outside)
         undo.callback(world.close)
         if request.starts_service:
             options: list[str] = []

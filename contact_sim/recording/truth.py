@@ -1,0 +1,81 @@
+"""How the flight truly was, a line thirty times a second, as ``drone_client.viewing`` reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from contact_sim.simulation import Simulation
+from drone_client.line_writer import LineWriter
+from rgbd_wire.messages import pose_numbers
+
+TRUTH_NAME: Final = "truth.jsonl"
+PERIOD_NS: Final = 33_000_000
+MAX_LINES: Final = 200_000
+"""Two hours at that rate."""
+
+
+class TruthWriter:
+    """Looks at every turn of a simulation; nobody waits for it, nor for its disk."""
+
+    def __init__(self, folder: Path) -> None:
+        self.problem: str | None = None
+        """Why not all of it was written."""
+        self._path = folder / TRUTH_NAME
+        self._lines: LineWriter | None = None
+        self._left = MAX_LINES
+        self._due_ns = 0
+        self._force_n = 0.0
+
+    def begin(self) -> None:
+        """Open the file; nothing is written before. A disk that takes it not is a ``problem``."""
+        try:
+            self._lines = LineWriter({TRUTH_NAME: self._path})
+        except OSError as error:
+            self.problem = f"{self._path}: {error.strerror}"
+
+    def look(self, simulation: Simulation, now_ns: int) -> None:
+        """Take the moment.
+
+        Args:
+            simulation: between two steps.
+            now_ns: drone's clock.
+        """
+        if self._lines is None:
+            return
+        truth = simulation.truth
+        self._force_n = max(self._force_n, truth.tip_force_n)
+        if now_ns < self._due_ns or self._left <= 0:
+            return
+        self._left -= 1
+        self._due_ns = now_ns + PERIOD_NS
+        self._lines.put(TRUTH_NAME, _line(simulation, now_ns, self._force_n))
+        self._force_n = 0.0
+
+    def close(self) -> None:
+        """Write what is left."""
+        if self._lines is not None:
+            self._lines.close()
+            if self._lines.lost:
+                self.problem = f"{self._path}: {self._lines.lost} lines were not written"
+
+
+def _line(simulation: Simulation, now_ns: int, force_n: float) -> dict[str, Any]:
+    truth, snapshot = simulation.truth, simulation.snapshot()
+    believed = simulation.estimate.world_from_body.translation
+    drift_m = float(np.linalg.norm(believed - truth.world_from_body.translation))
+    return {
+        "t_ns": now_ns,
+        "t_simulated_ns": truth.t_ns,
+        "world_from_body": list(pose_numbers(truth.world_from_body)),
+        "world_from_target": list(pose_numbers(simulation.scene.world_from_target)),
+        "velocity_mps": [round(v, 5) for v in truth.velocity_world.tolist()],
+        "tip_force_n": round(force_n, 4),
+        "arm_m": round(truth.arm_m, 6),
+        "drift_m": round(drift_m, 5),
+        "touches": [f"{touch.part} on {touch.other}" for touch in truth.touches],
+        "lamps_out": sorted(snapshot.lamps_out),
+        "qpos": snapshot.qpos.tolist(),
+    }
