@@ -15,10 +15,9 @@ from rich.table import Table
 from rich.text import Text
 
 from contact_sim.chance import MAX_SEED
-from contact_sim.errors import HilError
 from contact_sim.hil.flight import HilSettings
 from contact_sim.hil.ground import on_the_ground
-from contact_sim.hil.line import Door, Line
+from contact_sim.hil.line import Door, Line, address_of
 from contact_sim.hil.lockstep import LockstepSettings
 from contact_sim.hil.session import INTERRUPTED, FlightReport, Session
 from contact_sim.scene import BOARDS, WORLDS, build_scene
@@ -29,7 +28,6 @@ STATUS_NS: Final = 500_000_000
 KNOCK_S: Final = 0.5
 KEPT_FLIGHTS: Final = 100
 """Whose reports stand in the summary: the newest."""
-MAX_HOST: Final = 255
 
 
 def hil(
@@ -195,21 +193,6 @@ def status_line(session: Session) -> str:
         line += f"  tip {truth.tip_force_n:.1f} N"
     missing = exchange.counts["unanswered"]
     return line + (f"  {missing} missed" if missing else "")
-
-
-def address_of(text: str) -> tuple[str, int]:
-    """Host and port of ``HOST:PORT``; a port of 0 takes any that is free.
-
-    Raises:
-        HilError: it is none.
-    """
-    host, colon, digits = text.rpartition(":")
-    port = int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 5 else -1
-    if host.startswith("[") and host.endswith("]"):
-        host = host[1:-1]
-    if not colon or not host or len(host) > MAX_HOST or not 0 <= port <= 0xFFFF:
-        raise HilError(f"{text[:80]!r} is no address to listen at, such as 127.0.0.1:4560")
-    return host, port
 
 
 def print_report(report: FlightReport) -> None:

@@ -59,6 +59,12 @@ class HilFlight:
         self._outgoing = Outgoing(settings.place, gps=settings.gps, vio=settings.vio)
         self._motors = Motors.of(rotor_places(simulation.airframe), settings.thrust_curve)
 
+    def counts(self) -> dict[str, int]:
+        """Of questions and answers, and what was wrong with them."""
+        # copies: they may be asked for while another thread flies
+        counts = dict(self.lockstep.counts) | dict(self.lockstep.reader.counts)
+        return counts | dict(self.faults)
+
     def turn(self) -> None:
         """The next 4 ms.
 

@@ -13,6 +13,7 @@ from contact_sim.errors import HilError, PeerGoneError
 READ_MAX: Final = 16_384
 SEND_S: Final = 5.0
 """A peer that reads nothing for so long hangs."""
+MAX_HOST: Final = 255
 MAX_STRANGERS: Final = 32
 """Turned away at one look."""
 
@@ -115,6 +116,21 @@ class Door:
     def close(self) -> None:
         """Listen no more."""
         self._socket.close()
+
+
+def address_of(text: str) -> tuple[str, int]:
+    """Host and port of ``HOST:PORT``; a port of 0 takes any that is free.
+
+    Raises:
+        HilError: it is none.
+    """
+    host, colon, digits = text.rpartition(":")
+    port = int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 5 else -1
+    if host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
+    if not colon or not host or len(host) > MAX_HOST or not 0 <= port <= 0xFFFF:
+        raise HilError(f"{text[:80]!r} is no address to listen at, such as 127.0.0.1:4560")
+    return host, port
 
 
 def _went(error: OSError) -> str:

@@ -51,6 +51,7 @@ class Outside:
             self.vehicle: FlyingAutopilot = open_autopilot(autopilot, clock)
             self._stack = undo.pop_all()
         self.address = self._door.address
+        self._flight: HilFlight | None = None
 
     def live(
         self,
@@ -79,9 +80,14 @@ class Outside:
         self._stack.callback(line.close)
         exchange = Lockstep(line, LockstepSettings(), self._clock)
         flight = HilFlight(simulation, exchange, seed, HilSettings(vio=False))
+        self._flight = flight
         live = HilLive(flight, self._clock, on_turn)
         self._stack.callback(live.stop)
         return live
+
+    def counts(self) -> dict[str, int]:
+        """Of questions and answers, and what was wrong with them; empty: nobody has connected."""
+        return {} if self._flight is None else self._flight.counts()
 
     def close(self) -> None:
         """Give the vehicle back while it still flies, then let the world stand still."""

@@ -132,11 +132,6 @@ class Session:
         elif ahead_ns > 0:
             time.sleep(ahead_ns / 1e9)
 
-    def counts(self) -> dict[str, int]:
-        """Of questions and answers, and what was wrong with them."""
-        exchange = self.flight.lockstep
-        return {**exchange.counts, **exchange.reader.counts, **self.flight.faults}
-
     def _report(self, why: str, *, failed: bool) -> FlightReport:
         return FlightReport(
             why,
@@ -145,6 +140,6 @@ class Session:
             self.simulation.t_ns / 1e9,
             self.took_s,
             self.flight.armed_turns * TURN_NS / 1e9,
-            self.counts(),
+            self.flight.counts(),
             self._witness.outcome(self.simulation, TURN_NS / 1e9),
         )

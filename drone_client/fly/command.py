@@ -38,6 +38,8 @@ from drone_client.viewing.recorder import FlightRecorder
 from rgbd_wire.clock import MonotonicClock
 
 EXIT_NOT_DONE = 3
+PX4_BOOT_S = 120.0
+"""A PX4 that was started for the flight says where it is within this time."""
 DRONE = str(ClientSettings.model_fields["name"].default)
 
 
@@ -64,6 +66,15 @@ def fly(
         typer.Option(
             "--link",
             help="emulated link to the service of --sim: lan, wifi, 5g or bad",
+            show_default=False,
+        ),
+    ] = None,
+    hil: Annotated[
+        str | None,
+        typer.Option(
+            "--hil",
+            metavar="HOST:PORT",
+            help="let a PX4 SITL binary fly the drone of --sim: it calls 127.0.0.1:4560",
             show_default=False,
         ),
     ] = None,
@@ -170,6 +181,9 @@ def fly(
     With --sim the same client flies a simulated drone, through a real service that is started for
     it, or the one of --connect; nobody is asked.
 
+    With --hil as well the vehicle is a PX4 SITL binary that you start and take off (docs/px4.md),
+    and that the client reaches at --autopilot; somebody is asked, as with a real one.
+
     --mcap, --rerun and --video are written when the flight is over, from the run's folder;
     drone-client log writes the first two again at any time.
 
@@ -180,18 +194,26 @@ def fly(
     Example: drone-client fly --sim tunnel --seed 3 --link wifi --out runs/tunnel
     """
     console = Console(stderr=True)
-    if sim is None:
-        _check_real(airframe, emulated_link, asks=not (yes or dry_run))
+    asks = not (yes or dry_run) and (sim is None or hil is not None)
+    _check(sim, hil, airframe, emulated_link, asks=asks)
     views = checked(video, mcap, rerun, foxglove, simulated=sim is not None, overwrite=overwrite)
     clock = MonotonicClock()
     with ExitStack() as stack:
         stack.enter_context(_heeding_hang_up())
         world, reach = None, {"connect": connect, "key_file": key_file}
         if sim is not None:
-            console.print(f"building the world {sim}, seed {seed}", markup=False, highlight=False)
+            _tell_building(console, sim, seed, hil)
             world = open_simulator(
                 SimulatorRequest(
-                    sim, seed, board, emulated_link, name or DRONE, out, connect is None
+                    sim,
+                    seed,
+                    board,
+                    emulated_link,
+                    name or DRONE,
+                    out,
+                    connect is None,
+                    hil,
+                    autopilot,
                 ),
                 clock,
             )
@@ -215,7 +237,7 @@ def fly(
         body = Airframe() if airframe is None else load_airframe(airframe)
         parts = _tuned(flight_settings(settings), tuning, world)
         parts = _with_keep_outs(parts, body, floor_m, ceiling_m)
-        cockpit = TerminalCockpit(console, ask=not (yes or world is not None))
+        cockpit = TerminalCockpit(console, ask=asks)
         stack.callback(cockpit.close)
         robot: Robot | Simulator
         if world is not None:
@@ -246,7 +268,7 @@ def fly(
             body,
             settings,
             parts,
-            FlyOptions(out, dry_run, wait_for_vehicle_s, plot, overwrite),
+            FlyOptions(out, dry_run, _wait_s(wait_for_vehicle_s, hil), plot, overwrite),
             link,
             clock,
             cockpit,
@@ -263,14 +285,36 @@ def fly(
         raise typer.Exit(EXIT_NOT_DONE)
 
 
-def _check_real(airframe: Path | None, emulated_link: str | None, *, asks: bool) -> None:
-    """What a real drone needs, and a simulated one does not."""
-    if emulated_link is not None:
-        raise WorldError("--link emulates a link for --sim; a real one is as it is")
-    if airframe is None:
-        raise AirframeError("--airframe is needed: where camera and arm sit on this drone")
+def _check(
+    sim: str | None,
+    hil: str | None,
+    airframe: Path | None,
+    emulated_link: str | None,
+    *,
+    asks: bool,
+) -> None:
+    """What a real drone needs, and a simulated one does not; and the other way round."""
+    if sim is None:
+        if hil is not None:
+            raise WorldError("--hil puts a PX4 into a simulated world: which one? --sim says it")
+        if emulated_link is not None:
+            raise WorldError("--link emulates a link for --sim; a real one is as it is")
+        if airframe is None:
+            raise AirframeError("--airframe is needed: where camera and arm sit on this drone")
     if asks and not sys.stdin.isatty():
         raise ClientError("nobody to ask: run it in a terminal, or with --yes or --dry-run")
+
+
+def _tell_building(console: Console, sim: str, seed: int, hil: str | None) -> None:
+    sentence = f"building the world {sim}, seed {seed}"
+    if hil is not None:
+        sentence += f"; then it waits for a PX4 SITL binary that calls its simulator at {hil}"
+    console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+
+
+def _wait_s(wait_s: float, hil: str | None) -> float:
+    """For the vehicle's pose; a PX4 that has just been started has to boot."""
+    return wait_s if hil is None else max(wait_s, PX4_BOOT_S)
 
 
 def _tuned(parts: FlightSettings, tuning: Path | None, world: Simulator | None) -> FlightSettings:

@@ -39,6 +39,11 @@ class SimulatorRequest:
     """For logs, keys, and how it truly was."""
     starts_service: bool
     """No service was named: start one."""
+    hil: str | None = None
+    """HOST:PORT where a PX4 outside calls its simulator, to be the vehicle; None: the simulator has
+    a vehicle of its own."""
+    autopilot: str = ""
+    """The client's address of that PX4."""
 
 
 class Simulator(Protocol):
