@@ -9,6 +9,7 @@ from types import FrameType
 import typer
 from rich.console import Console
 
+from contact_sim.campaign.command import campaign
 from contact_sim.errors import SimulatorError
 from contact_sim.hil.command import hil
 
@@ -21,11 +22,7 @@ app = typer.Typer(
     rich_markup_mode=None,  # at 80 columns its tables cut the names of flags
 )
 app.command()(hil)
-
-
-@app.callback()
-def _commands() -> None:
-    """Keeps the command's name while there is only one."""
+app.command()(campaign)
 
 
 def main() -> None:

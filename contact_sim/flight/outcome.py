@@ -58,7 +58,7 @@ class Outcome:
     """Median while it touched."""
     pressed_s: float
     outside_m: float
-    """Deepest place of the unloaded tip behind the board's plane outside the mouth."""
+    """Deepest that the arm was pressed in while its tip touched anything outside the mouth."""
     collisions: tuple[str, ...]
     """What else touched what: ``part on thing``."""
     nearest_m: float
@@ -97,8 +97,9 @@ class Witness:
         free = self._target_from_world @ (truth.tip_world + truth.arm_m * forward)
         x, y, z = free.tolist()
         self._nearest_m = min(self._nearest_m, x)
-        if x < 0.0 and math.hypot(y, z) > MOUTH_M:
-            self._outside_m = max(self._outside_m, -x)
+        beside_m = math.hypot(float(tip_target[1]), float(tip_target[2]))
+        if truth.tip_force_n > 0.0 and beside_m > MOUTH_M:
+            self._outside_m = max(self._outside_m, truth.arm_m)
         for touch in truth.touches:
             if touch.part == TIP and touch.other == BOARD:
                 continue

@@ -12,6 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from contact_sim.chance import stream
 from contact_sim.flight.outcome import Outcome, Row, Witness
 from contact_sim.flight.search import searching
@@ -31,6 +34,7 @@ from drone_client.odometry.feed import OdometryFeed
 from drone_client.odometry.jump import Jump
 from drone_client.reception import Receiver, Reception
 from drone_client.settings import load_settings
+from drone_client.source.frozen import FrozenWatch
 from link_emulator.profiles import Profile
 from rgbd_wire.camera import RgbdCamera
 from rgbd_wire.frame import RgbdFrame
@@ -42,6 +46,8 @@ TICK_NS: Final = 20_000_000
 TURN_STEPS: Final = 2
 CAMERA_HZ: Final = 15.0
 LONGEST_S: Final = 180.0
+ARRIVAL_NS: Final = 85_000_000
+"""Of an answer after its exposure, about: for the ablation that composes it with the pose then."""
 WARM_NS: Final = 500_000_000
 """The vehicle hovers for so long before a person says GO."""
 
@@ -168,14 +174,17 @@ class LockstepFlight:
             stream(seed, "worker"),
             self.settings.worker,
         )
-        self._pose = VehiclePose(self.vehicle.state, self._receiver.add_pose, self._on_jump)
+        self._pose = VehiclePose(self.vehicle.state, self._keep_pose, self._on_jump)
         self._feed = OdometryFeed(self.vehicle, self.vehicle, self._on_jump)
         self._camera_due_ns = 0
         self._camera: RgbdModel | None = None
         if self.eyes.needs_pictures:
             self._camera = RgbdModel(self.simulation.model, rig, scene.light, seed)
         self._given_back = False
-        self._last_view: tuple[RgbdFrame | None, Pose] | None = None
+        self._frozen_watch = FrozenWatch()
+        self._noise = stream(seed, "noise of the sensor")
+        self._last_frame: RgbdFrame | None = None
+        self._last_seen: NDArray[np.uint8] | None = None
 
     @property
     def phase(self) -> Phase:
@@ -251,8 +260,13 @@ class LockstepFlight:
             self.worker.counts["superseded_on_board"] += 1
             return
         frame = None
-        if self._camera is not None:
+        # Without pictures a few numbers of noise stand for one: they differ as exposures do
+        seen = self._noise.integers(0, 255, (4, 4, 3), np.uint8)
+        if self.frozen and self._last_seen is not None:
+            frame, seen = self._last_frame, self._last_seen
+        elif self._camera is not None:
             picture = self._camera.take(self.simulation.snapshot())
+            seen = picture.color_rgb
             frame = RgbdFrame(
                 color_rgb=picture.color_rgb,
                 depth_units=picture.depth_units,
@@ -260,13 +274,15 @@ class LockstepFlight:
                 t_capture_ns=now_ns,
                 world_from_camera=self._camera_at(now_ns),
             )
-        if self.frozen and self._last_view is not None:
-            old, camera_from_target = self._last_view
-            if old is not None:
-                frame = replace(old, t_capture_ns=now_ns, world_from_camera=self._camera_at(now_ns))
-        else:
-            self._last_view = frame, camera_from_target
+        self._last_frame, self._last_seen = frame, seen
+        if self._frozen_watch.see(seen):
+            self.worker.counts["frozen"] += 1
+            return
         self.worker.send(now_ns, frame, camera_from_target)
+
+    def _keep_pose(self, t_ns: int, world_from_body: Pose) -> None:
+        late_ns = ARRIVAL_NS if self.settings.composes_now else 0
+        self._receiver.add_pose(t_ns - late_ns, world_from_body)
 
     def _camera_at(self, now_ns: int) -> Pose | None:
         world_from_body = self._receiver.pose_at(now_ns)
@@ -274,10 +290,15 @@ class LockstepFlight:
 
     def _decide(self, now_ns: int, world_from_body: Pose | None) -> None:
         forward_m = self._feed.tick(now_ns)
+        silent = self._feed.silent(now_ns)
         jumped = self._pose.jumped(now_ns) or self._receiver.lost is not None
         order = Order.GO if now_ns >= WARM_NS else Order.HOLD
         senses = Senses(
-            self.vehicle.state(), odometry_jumped=jumped, forward_m=forward_m, order=order
+            self.vehicle.state(),
+            odometry_silent=silent,
+            odometry_jumped=jumped,
+            forward_m=forward_m,
+            order=order,
         )
         decision = decide(
             now_ns,

@@ -81,6 +81,10 @@ class RemoteWorker:
         """Whether the window has room."""
         return len(self._on_way) < self._settings.window
 
+    def kill(self, now_ns: int | None) -> None:
+        """Kill it; None: it is there again."""
+        self.killed_ns = now_ns
+
     def forget(self, now_ns: int) -> None:
         """Give up answers that have not come for too long."""
         limit_ns = now_ns - self._settings.reply_timeout_ns

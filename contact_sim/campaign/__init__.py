@@ -1,0 +1,1 @@
+"""Many flights: chance, faults, and what came of them."""

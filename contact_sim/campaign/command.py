@@ -1,0 +1,197 @@
+"""``python -m contact_sim campaign``: the command line of many flights."""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import ExitStack
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from contact_sim.campaign.faults import USUAL, Fault, load_faults
+from contact_sim.campaign.report import by_group, page, summary
+from contact_sim.campaign.row import FlightRow
+from contact_sim.campaign.run import ABLATIONS, Table, fly_campaign, plan
+from contact_sim.errors import CampaignError
+from contact_sim.flight.service import ServiceProcess
+from contact_sim.scene import WORLDS
+from link_emulator.errors import EmulatorError
+from link_emulator.profiles import PROFILES, profile
+
+USUAL_FAULTS = "usual"
+TABLE_NAME = "flights.csv"
+PAGE_NAME = "flights.md"
+
+
+class EyesName(StrEnum):
+    """Who looks."""
+
+    SERVICE = "service"
+    MODEL = "model"
+
+
+def campaign(
+    out: Annotated[Path, typer.Option(help="folder for flights.csv and flights.md")] = Path(
+        "runs/campaign"
+    ),
+    world: Annotated[
+        list[str] | None, typer.Option(help="tunnel or refinery; again for both (default: both)")
+    ] = None,
+    flights: Annotated[int, typer.Option(min=1, max=100_000, help="of each kind")] = 20,
+    first_seed: Annotated[int, typer.Option(min=0, help="seeds count from here")] = 0,
+    board: Annotated[str, typer.Option(help="print: clean, scratched or glossy")] = "clean",
+    link: Annotated[str, typer.Option(help=f"link: {', '.join(PROFILES)}")] = "wifi",
+    eyes: Annotated[
+        EyesName,
+        typer.Option(
+            help="service: pictures through a real service. model: a localiser's measured errors, "
+            "without pictures, much faster"
+        ),
+    ] = EyesName.MODEL,
+    connect: Annotated[
+        str | None, typer.Option(help="Zenoh endpoint of a service that runs", show_default=False)
+    ] = None,
+    faults: Annotated[
+        str | None,
+        typer.Option(
+            help="TOML with [[fault]] tables, or 'usual' for all kinds", show_default=False
+        ),
+    ] = None,
+    ablations: Annotated[
+        bool, typer.Option("--ablations", help="also fly without each part of the contract")
+    ] = False,
+    plain: Annotated[
+        bool, typer.Option("--plain/--no-plain", help="fly without faults, too")
+    ] = True,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, max=256, help="processes (default: one a core)")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="go on after the flights that are in the table")
+    ] = False,
+    write: Annotated[
+        Path | None, typer.Option(help="write the page here as well", show_default=False)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print the summary as JSON")] = False,
+) -> None:
+    """Fly many times in lockstep, with other chances each time, and count what came of it.
+
+    Every flight is the real client (gate, target filter, mission, safety filter) in a world of its
+    seed, and always the same for that seed. A row a flight goes to flights.csv as it ends.
+
+    Exit code 0: every flight was safe: nothing but the tip touched anything, and not beside the
+    mouth. 3: some were not, or could not be flown.
+
+    Example: python -m contact_sim campaign --flights 100 --faults usual --out runs/faults
+    """
+    console = Console(stderr=True)
+    worlds = world or list(WORLDS)
+    _check(worlds, link, eyes, connect)
+    struck: tuple[Fault | None, ...] = () if faults is None else _faults(faults)
+    kinds = ((None,) if plain else ()) + struck
+    seeds = range(first_seed, first_seed + flights)
+    processes = jobs or os.cpu_count() or 1
+    with ExitStack() as stack:
+        endpoint = connect
+        if eyes is EyesName.SERVICE and connect is None:
+            console.print("starting a service", highlight=False)
+            endpoint = stack.enter_context(ServiceProcess(out)).endpoint
+        chosen = ABLATIONS[1:] if ablations else ()
+        jobs_planned = plan(worlds, seeds, kinds, chosen, board, link, endpoint)
+        table = Table(out / TABLE_NAME, goes_on=resume)
+        stack.callback(table.close)
+        bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        with bar:
+            task = bar.add_task("flights", total=len(jobs_planned))
+            done = {(r.world, r.seed, r.fault, r.ablation) for r in table.rows if not r.error}
+            bar.advance(task, sum(job.key in done for job in jobs_planned))
+
+            def on_row(row: FlightRow) -> None:
+                bar.advance(task)
+                if not row.safe:
+                    why = row.error or row.collisions or f"pushed {1e3 * row.outside_m:.1f} mm"
+                    console.print(
+                        f"{row.world}, seed {row.seed}, {row.fault}, {row.ablation}: {why}",
+                        markup=False,
+                        highlight=False,
+                    )
+
+            fly_campaign(jobs_planned, table, processes, on_row)
+        rows = _in_order(table.rows, [job.key for job in jobs_planned])
+    _write_page(rows, out, write, _command(flights, eyes, link, faults, ablations), eyes, link)
+    groups = {" / ".join(key): summary(of) for key, of in by_group(rows).items()}
+    if as_json:
+        print(json.dumps(groups, indent=2))
+    else:
+        for key, s in groups.items():
+            print(f"{key}: {_line(s)}")
+        print(f"table {out / TABLE_NAME}, page {out / PAGE_NAME}")
+    if not all(row.safe for row in rows):
+        raise typer.Exit(3)
+
+
+def _check(worlds: list[str], link: str, eyes: EyesName, connect: str | None) -> None:
+    """What was asked for, before anything is started."""
+    for name in worlds:
+        if name not in WORLDS:
+            raise CampaignError(f"no world {name!r}; there are: {', '.join(WORLDS)}")
+    try:
+        profile(link)
+    except EmulatorError as error:
+        raise CampaignError(str(error)) from None
+    if eyes is EyesName.MODEL and connect is not None:
+        raise CampaignError("--connect is for --eyes service; the model needs no service")
+
+
+def _line(s: dict[str, Any]) -> str:
+    return (
+        f"{s['contact']} of {s['flights']} in contact, {s['within_2cm']} within 2 cm, "
+        f"{s['retreat']} retreats, {s['collided']} collisions, {s['outside']} pushes outside"
+    )
+
+
+def _faults(text: str) -> tuple[Fault, ...]:
+    return USUAL if text == USUAL_FAULTS else load_faults(Path(text))
+
+
+def _in_order(rows: list[FlightRow], keys: list[tuple[str, int, str, str]]) -> list[FlightRow]:
+    """As they were planned; of a flight that was flown twice the last row."""
+    newest = {(r.world, r.seed, r.fault, r.ablation): r for r in rows}
+    return [newest[key] for key in keys if key in newest]
+
+
+def _command(flights: int, eyes: EyesName, link: str, faults: str | None, ablations: bool) -> str:
+    words = ["python -m contact_sim campaign", f"--flights {flights}", f"--eyes {eyes.value}"]
+    words.append(f"--link {link}")
+    words += [] if faults is None else [f"--faults {faults}"]
+    words += ["--ablations"] if ablations else []
+    return " ".join(words)
+
+
+def _write_page(
+    rows: list[FlightRow], out: Path, write: Path | None, command: str, eyes: EyesName, link: str
+) -> None:
+    who = {
+        EyesName.SERVICE: "Pictures are drawn, coded, and looked at by a real service process",
+        EyesName.MODEL: "Without pictures: the localiser's errors as they were measured",
+    }[eyes]
+    text = page(rows, command, f"{who}; times on the link are drawn from the profile *{link}*.")
+    for path in (out / PAGE_NAME, write):
+        if path is None:
+            continue
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise CampaignError(f"cannot write {path}: {error.strerror}") from None

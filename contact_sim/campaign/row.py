@@ -1,0 +1,141 @@
+"""One flight as a row of a table."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Final
+
+from contact_sim.campaign.faults import Striker
+from contact_sim.lockstep.flight import Flown
+from drone_client.mission import Phase
+
+AWAY_M: Final = 0.8
+"""A tip that is further from the board has come back from it."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRow:
+    """What one flight came to; lengths in metres, an empty cell where there is nothing to say."""
+
+    world: str
+    seed: int
+    fault: str
+    ablation: str
+    phase: str
+    reason: str
+    ends: str
+    """contact: touched and back. retreat: back, without. stands: given back clear of the board.
+    touches: given back on it."""
+    attempts: int
+    struck_m: float | None
+    """Where the fault struck."""
+    touched: bool
+    offset_m: float | None
+    touch_left_m: float | None
+    touch_up_m: float | None
+    closing_mps: float | None
+    peak_force_n: float
+    press_force_n: float | None
+    pressed_s: float
+    outside_m: float
+    collisions: str
+    nearest_m: float
+    end_m: float
+    flown_s: float
+    drift_m: float
+    found: int
+    """Frames in which a target was found."""
+    frames: int
+    accepted: int
+    gated: int
+    """Results that the gate refused."""
+    wall_s: float
+    error: str = ""
+    """Why there was no flight, or no end of one."""
+
+    @property
+    def safe(self) -> bool:
+        """Nothing but the tip touched anything, and that not beside the mouth."""
+        return not self.collisions and self.outside_m == 0.0 and not self.error
+
+
+NAMES: Final = tuple(field.name for field in fields(FlightRow))
+
+
+def flight_row(
+    world: str,
+    seed: int,
+    fault: str,
+    ablation: str,
+    flown: Flown,
+    striker: Striker | None,
+    wall_s: float,
+) -> FlightRow:
+    """The row of a flight."""
+    o = flown.outcome
+    left, up = (None, None) if o.touch_target_m is None else o.touch_target_m
+    if flown.phase is Phase.DONE:
+        ends = "contact"
+    elif o.end_m >= AWAY_M:
+        ends = "retreat"
+    else:
+        ends = "stands" if o.end_m > 0.0 else "touches"
+    accepted = flown.verdicts.get("accepted", 0)
+    return FlightRow(
+        world=world,
+        seed=seed,
+        fault=fault,
+        ablation=ablation,
+        phase=flown.phase.value,
+        reason=flown.reason.value,
+        ends=ends,
+        attempts=flown.attempts,
+        struck_m=None if striker is None else striker.struck_m,
+        touched=o.touched,
+        offset_m=o.offset_m,
+        touch_left_m=left,
+        touch_up_m=up,
+        closing_mps=o.closing_mps,
+        peak_force_n=o.peak_force_n,
+        press_force_n=o.press_force_n,
+        pressed_s=o.pressed_s,
+        outside_m=o.outside_m,
+        collisions="; ".join(o.collisions),
+        nearest_m=o.nearest_m,
+        end_m=o.end_m,
+        flown_s=o.flown_s,
+        drift_m=o.drift_m,
+        found=flown.counts.get("target", 0),
+        frames=flown.counts.get("sent", 0),
+        accepted=accepted,
+        gated=sum(flown.verdicts.values()) - accepted,
+        wall_s=wall_s,
+    )
+
+
+def as_cells(row: FlightRow) -> dict[str, Any]:
+    """For a CSV file: an empty cell for what is not known."""
+    return {k: "" if v is None else v for k, v in asdict(row).items()}
+
+
+def from_cells(cells: dict[str, str]) -> FlightRow:
+    """A row of a CSV file.
+
+    Raises:
+        ValueError: a column is missing, or a cell is not what it should be.
+    """
+    values: dict[str, Any] = {}
+    for field in fields(FlightRow):
+        text = cells.get(field.name)
+        if text is None:
+            raise ValueError(f"column {field.name} is missing")
+        kind = str(field.type)
+        if kind == "str":
+            values[field.name] = text
+        elif kind == "bool":
+            values[field.name] = text == "True"
+        elif text == "":
+            values[field.name] = None
+        else:
+            values[field.name] = int(text) if kind == "int" else float(text)
+    return FlightRow(**values)

@@ -1,0 +1,275 @@
+"""Flights in parallel processes, one row each, as they come."""
+
+from __future__ import annotations
+
+import csv
+import math
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from contact_sim.campaign.faults import Fault, Striker, fault_name
+from contact_sim.campaign.row import NAMES, FlightRow, as_cells, flight_row, from_cells
+from contact_sim.chance import stream
+from contact_sim.errors import CampaignError, ServiceError, SimulatorError
+from contact_sim.lockstep.eyes import Eyes, ModelEyes
+from contact_sim.lockstep.flight import LockstepFlight, LockstepSettings
+from contact_sim.lockstep.service_eyes import ServiceEyes
+from contact_sim.scene import build_scene
+from contact_sim.sensing import d455
+from link_emulator.profiles import profile
+
+ABLATIONS: Final = ("none", "composes_now", "no_gate", "no_funnel")
+"""What is left out: capture-time composition, the delay gate, the funnel."""
+NO_FUNNEL_M: Final = 0.5
+"""A mouth so wide that it is none: the largest that the funnel takes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One flight."""
+
+    world: str
+    seed: int
+    board: str
+    link: str
+    fault: Fault | None = None
+    ablation: str = "none"
+    endpoint: str | None = None
+    """Of the service whose eyes look; None: the model's."""
+
+    @property
+    def key(self) -> tuple[str, int, str, str]:
+        """What tells it from the others of a campaign."""
+        return self.world, self.seed, fault_name(self.fault), self.ablation
+
+
+def ablated(settings: LockstepSettings, ablation: str) -> LockstepSettings:
+    """The settings without a part of the contract.
+
+    Raises:
+        CampaignError: there is no such part.
+    """
+    match ablation:
+        case "none":
+            return settings
+        case "composes_now":
+            return replace(settings, composes_now=True)
+        case "no_gate":
+            return replace(settings, gates=False)
+        case "no_funnel":
+            limits = settings.parts.control.filter
+            wide = replace(limits, funnel=replace(limits.funnel, r_c_m=NO_FUNNEL_M))
+            control = replace(settings.parts.control, filter=wide)
+            return replace(settings, parts=replace(settings.parts, control=control))
+        case _:
+            raise CampaignError(f"no ablation {ablation!r}; there are: {', '.join(ABLATIONS)}")
+
+
+def fly_job(job: Job) -> FlightRow:
+    """Fly one; what goes wrong is a row with its error, so that the others go on."""
+    began = time.monotonic()
+    eyes: ServiceEyes | None = None
+    try:
+        scene = build_scene(job.world, job.seed, job.board)
+        rig = d455()
+        if job.endpoint is not None:
+            eyes = ServiceEyes(job.endpoint, f"campaign-{os.getpid()}")
+        looking: Eyes = eyes or ModelEyes(rig.color, stream(job.seed, "eyes"))
+        flight = LockstepFlight(
+            scene,
+            job.seed,
+            profile(job.link),
+            lambda simulation: looking,
+            rig,
+            ablated(LockstepSettings(), job.ablation),
+        )
+        striker = None if job.fault is None else Striker(job.fault, job.seed)
+        flown = flight.fly(striker or (lambda flight: None))
+        wall_s = time.monotonic() - began
+        name = fault_name(job.fault)
+        return flight_row(job.world, job.seed, name, job.ablation, flown, striker, wall_s)
+    except SimulatorError as error:
+        return _failed(job, str(error), time.monotonic() - began)
+    finally:
+        if eyes is not None:
+            eyes.close()
+
+
+def _failed(job: Job, why: str, wall_s: float) -> FlightRow:
+    return FlightRow(
+        job.world,
+        job.seed,
+        fault_name(job.fault),
+        job.ablation,
+        phase="",
+        reason="",
+        ends="failed",
+        attempts=0,
+        struck_m=None,
+        touched=False,
+        offset_m=None,
+        touch_left_m=None,
+        touch_up_m=None,
+        closing_mps=None,
+        peak_force_n=0.0,
+        press_force_n=None,
+        pressed_s=0.0,
+        outside_m=0.0,
+        collisions="",
+        nearest_m=math.nan,
+        end_m=math.nan,
+        flown_s=0.0,
+        drift_m=math.nan,
+        found=0,
+        frames=0,
+        accepted=0,
+        gated=0,
+        wall_s=wall_s,
+        error=" ".join(why.split())[:300],
+    )
+
+
+class Table:
+    """The rows on disk: kept as they come, read when a campaign goes on.
+
+    Raises:
+        CampaignError: the file cannot be written, or is no table of flights.
+    """
+
+    def __init__(self, path: Path, *, goes_on: bool) -> None:
+        self.rows: list[FlightRow] = []
+        self._path = path
+        if goes_on and path.exists():
+            self.rows = read_table(path)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("w", encoding="utf-8", newline="")
+            self._writer = csv.DictWriter(self._file, NAMES)
+            self._writer.writeheader()
+            for row in self.rows:
+                self._writer.writerow(as_cells(row))
+            self._file.flush()
+        except OSError as error:
+            raise CampaignError(f"cannot write {path}: {error.strerror}") from None
+
+    def add(self, row: FlightRow) -> None:
+        """Keep a row; whole, whatever happens next."""
+        self.rows.append(row)
+        try:
+            self._writer.writerow(as_cells(row))
+            self._file.flush()
+        except OSError as error:
+            raise CampaignError(
+                f"cannot write {self._path} any more: {error.strerror}; its {len(self.rows) - 1} "
+                "rows so far are whole, --resume goes on after them"
+            ) from None
+
+    def close(self) -> None:
+        """Close the file."""
+        with suppress(OSError):
+            self._file.close()
+
+
+def read_table(path: Path) -> list[FlightRow]:
+    """The rows of a table; a last line that was cut off is left out.
+
+    Raises:
+        CampaignError: it cannot be read, or is no table of flights.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            lines = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise CampaignError(f"cannot read {path}: {error}") from None
+    rows = []
+    for number, cells in enumerate(lines, 2):
+        try:
+            rows.append(from_cells(cells))
+        except (ValueError, TypeError) as error:
+            if number == len(lines) + 1:
+                break
+            raise CampaignError(f"{path}, line {number}: {error}") from None
+    return rows
+
+
+def fly_all(jobs: Sequence[Job], processes: int) -> Iterator[FlightRow]:
+    """Fly them, several at once; rows come as flights end.
+
+    Raises:
+        CampaignError: a process died.
+    """
+    if processes <= 1:
+        yield from map(fly_job, jobs)
+        return
+    # Nothing of this process's threads and GL may be inherited
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+        futures: list[Future[FlightRow]] = [pool.submit(fly_job, job) for job in jobs]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        except BaseException as error:
+            pool.shutdown(wait=False, cancel_futures=True)
+            if isinstance(error, OSError | RuntimeError):
+                raise CampaignError(f"a process of the campaign died: {error}") from None
+            raise
+
+
+def plan(
+    worlds: Sequence[str],
+    seeds: Sequence[int],
+    faults: Sequence[Fault | None],
+    ablations: Sequence[str],
+    board: str,
+    link: str,
+    endpoint: str | None,
+) -> list[Job]:
+    """Every flight of a campaign; faults and ablations are not crossed with one another.
+
+    Raises:
+        CampaignError: there is no such ablation.
+    """
+    jobs = [
+        Job(world, seed, board, link, fault, "none", endpoint)
+        for world in worlds
+        for fault in faults
+        for seed in seeds
+    ]
+    for ablation in ablations:
+        ablated(LockstepSettings(), ablation)
+        jobs += [
+            Job(world, seed, board, link, None, ablation, endpoint)
+            for world in worlds
+            for seed in seeds
+        ]
+    return jobs
+
+
+def fly_campaign(
+    jobs: Sequence[Job],
+    table: Table,
+    processes: int,
+    on_row: Callable[[FlightRow], None] = lambda row: None,
+) -> None:
+    """Fly what the table lacks.
+
+    Raises:
+        CampaignError: the table cannot be written any more, or a process died.
+        ServiceError: no flight at all could be flown with the service.
+    """
+    done = {(row.world, row.seed, row.fault, row.ablation) for row in table.rows if not row.error}
+    left = [job for job in jobs if job.key not in done]
+    failed = 0
+    for row in fly_all(left, processes):
+        table.add(row)
+        on_row(row)
+        failed += bool(row.error)
+        if failed >= 3 and failed == len(table.rows):
+            raise ServiceError(f"no flight succeeds; the last: {row.error}")
