@@ -28,6 +28,8 @@ class LiveSimulation:
     ``slipped_ns`` says by how much, and every stamp is on the time line that was valid then.
     """
 
+    late_ns = LATE_NS
+
     def __init__(
         self,
         simulation: Simulation,
@@ -105,9 +107,9 @@ class LiveSimulation:
             behind_ns = now_ns - self._offset_ns - self._simulation.t_ns
             if behind_ns < TURN_NS:
                 self._heard_ns = now_ns
-            elif behind_ns > LATE_NS:
-                self._offset_ns += behind_ns - LATE_NS
-                self.slipped_ns += behind_ns - LATE_NS
+            elif behind_ns > self.late_ns:
+                self._offset_ns += behind_ns - self.late_ns
+                self.slipped_ns += behind_ns - self.late_ns
             return TURN_NS - behind_ns
 
     def _turn(self) -> None:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 from contact_sim.flight.live import TURN_NS, LiveSimulation
 from contact_sim.hil.flight import HilFlight
 from contact_sim.simulation import Simulation
 from rgbd_wire.clock import Clock
+
+LATE_NS: Final = 3_000_000_000
+"""Up to so much is made up for. The autopilot's clock is the simulated one: each slip of it would
+have to be noticed by whoever keeps the two clocks together, and until then no stamp is right."""
 
 
 class HilLive(LiveSimulation):
@@ -17,6 +22,8 @@ class HilLive(LiveSimulation):
     wait for it. An autopilot that goes or hangs is the end: ``error`` says so, and time stands
     still for good.
     """
+
+    late_ns = LATE_NS
 
     def __init__(
         self,

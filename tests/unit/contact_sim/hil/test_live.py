@@ -14,7 +14,7 @@ from contact_sim.hil.flight import HilFlight, HilSettings
 from contact_sim.hil.live import HilLive
 from contact_sim.hil.lockstep import Lockstep, LockstepSettings
 from contact_sim.scene.drone import MASS_KG
-from contact_sim.simulation import SimulationSettings
+from contact_sim.simulation import Simulation, SimulationSettings
 from contact_sim.vehicle.rotors import MAX_THRUST_N
 from rgbd_wire.clock import ManualClock
 from tests.unit.contact_sim.flights import simulation
@@ -49,14 +49,20 @@ class Stage:
     def __init__(self) -> None:
         self.clock, self.line = ManualClock(10**12), Held()
         self.seen: list[tuple[int, int]] = []
+        self.turned = threading.Condition()
         sim = simulation(settings=SimulationSettings(rotors_from_outside=True))
         lockstep = Lockstep(self.line, LockstepSettings(), self.clock)
         self.live = HilLive(
             HilFlight(sim, lockstep, 0, HilSettings(vio=False)),
             self.clock,
-            lambda s, now_ns: self.seen.append((s.t_ns, now_ns)),
+            self._on_turn,
         )
         self.live.start()
+
+    def _on_turn(self, sim: Simulation, now_ns: int) -> None:
+        with self.turned:
+            self.seen.append((sim.t_ns, now_ns))
+            self.turned.notify_all()
 
     def end(self) -> None:
         self.line.gone = True
@@ -85,6 +91,16 @@ def test_nobody_else_waits_for_an_answer(stage: Stage) -> None:
     stage.line.may_answer.release()
     assert stage.line.asked.acquire(timeout=10.0)
     assert stage.seen == [(4 * MS, 10**12 + 4 * MS), (8 * MS, 10**12 + 8 * MS)]
+
+
+def test_a_pause_is_made_up_for(stage: Stage) -> None:
+    """A second in which the machine did something else: no slip, for PX4's clock would slip too."""
+    stage.line.may_answer.release(1000)
+    stage.clock.advance(1000 * MS)
+    with stage.turned:
+        assert stage.turned.wait_for(lambda: stage.seen and stage.seen[-1][0] >= 996 * MS, 30.0)
+    assert stage.live.slipped_ns == 0
+    assert stage.seen[-1][1] <= stage.clock.now_ns()
 
 
 def test_who_goes_is_an_error_that_is_kept(stage: Stage) -> None:
