@@ -214,9 +214,10 @@ def _flights(trials: dict[str, dict[str, Any]]) -> list[str]:
     return [
         *lines,
         "",
-        "With the start values and a noise of 1 cm the drone waits before the board: the error "
-        "ball (17 to 18 mm) is larger than what the mouth of 20 mm admits (docs/cbf.md, section "
-        "3), and nobody could promise where it would touch. With a mouth of 30 mm it touches. "
+        "With a noise of 1 cm the error ball is 17 to 18 mm; at the touch the start values' mouth "
+        "of 25 mm admits 20 mm, one of 30 mm 24 mm (docs/cbf.md, section 3). Whoever is further "
+        "beside the axis than what is left waits before the board, for nobody could promise where "
+        "it would touch. "
         f"From outside, no propeller came nearer to the wall than {gap:.0f} mm. In the tunnel, "
         f"none came nearer to any side than {narrow['gap_mm']:.0f} mm, of which 100 mm are its "
         "clearance. While it waits there blind, the doubt about both walls grows by 1 cm/s, and "
