@@ -151,12 +151,15 @@ class Table:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("w", encoding="utf-8", newline="")
-            self._writer = csv.DictWriter(self._file, NAMES)
+        except OSError as error:
+            raise CampaignError(f"cannot write {path}: {error.strerror}") from None
+        self._writer = csv.DictWriter(self._file, NAMES)
+        try:
             self._writer.writeheader()
-            for row in self.rows:
-                self._writer.writerow(as_cells(row))
+            self._writer.writerows(as_cells(row) for row in self.rows)
             self._file.flush()
         except OSError as error:
+            self.close()
             raise CampaignError(f"cannot write {path}: {error.strerror}") from None
 
     def add(self, row: FlightRow) -> None:

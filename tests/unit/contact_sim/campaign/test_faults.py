@@ -1,0 +1,112 @@
+"""Faults: files of them, and when they strike."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from contact_sim.campaign.faults import USUAL, Fault, Kind, Striker, fault_name, load_faults
+from contact_sim.chance import stream
+from contact_sim.errors import CampaignError
+from contact_sim.lockstep.eyes import ModelEyes
+from contact_sim.lockstep.flight import LockstepFlight, LockstepSettings
+from contact_sim.sensing import d455
+from drone_client.mission import Phase
+from link_emulator.profiles import PROFILES
+from tests.unit.contact_sim.flights import BOARD_X_M, HEIGHT_M, REACH_M, plain_scene
+
+RIG = d455()
+
+
+def flown(fault: Fault, seed: int = 0, longest_s: float = 20.0):
+    striker = Striker(fault, seed)
+    flight = LockstepFlight(
+        plain_scene((BOARD_X_M - REACH_M - 1.1, 0.0, HEIGHT_M)),
+        seed,
+        PROFILES["lan"],
+        lambda simulation: ModelEyes(RIG.color, stream(seed, "eyes")),
+        RIG,
+        LockstepSettings(longest_s=longest_s),
+    )
+    return striker, flight, flight.fly(striker)
+
+
+def test_every_kind_is_flown_by_default() -> None:
+    """A kind that is added is looked at."""
+    assert {fault.kind for fault in USUAL} == set(Kind)
+    assert len({fault_name(fault) for fault in USUAL}) == len(USUAL)
+    assert fault_name(None) == "none"
+    assert fault_name(Fault(Kind.BLACK_HOLE, for_s=1.0)) == "black_hole 1s"
+
+
+@pytest.mark.parametrize("fault", USUAL, ids=fault_name)
+def test_it_strikes_once_in_the_approach_and_does_no_harm(fault: Fault) -> None:
+    """Below the distance that the seed drew; nothing but the tip touches anything."""
+    striker, _, flight = flown(fault)
+    assert striker.struck_m is not None
+    assert 0.0 - 0.05 <= striker.struck_m <= fault.farthest_m
+    before = [t for t in flight.ticks if t.t_ns < striker.struck_ns]
+    assert before[-1].decision.mission.phase is Phase.APPROACH
+    assert flight.clean, flight.outcome
+
+
+def test_what_strikes_is_felt() -> None:
+    """A killed worker answers nothing, a hanging one acknowledges, a gust blows, a jump jumps."""
+    killed, _, flight = flown(Fault(Kind.WORKER_KILLED), longest_s=16.0)
+    late = [t for t in flight.ticks if t.t_ns > killed.struck_ns + 200_000_000]
+    assert min(t.decision.age_ns for t in late if t.decision.age_ns is not None) > 150_000_000
+    _, hung, _ = flown(Fault(Kind.WORKER_HANGS), longest_s=16.0)
+    assert hung.worker.counts["hung"] > 3
+    _, jumped, _ = flown(Fault(Kind.VIO_JUMPS), longest_s=16.0)
+    assert jumped._feed.counts()["odometry_jumps"] == 1
+    _, out, flight = flown(Fault(Kind.VIO_OUT), longest_s=16.0)
+    assert flight.reason.value == "odometry_silent"
+    assert not out._feed.silent(0)
+
+
+def test_what_is_over_is_over() -> None:
+    """A black hole of a second: afterwards the flight goes on to contact."""
+    _, _, flight = flown(Fault(Kind.BLACK_HOLE, for_s=1.0), longest_s=60.0)
+    assert flight.phase is Phase.DONE
+
+
+def test_a_file_of_faults(tmp_path: Path) -> None:
+    """Numbers that are left out keep their defaults."""
+    path = tmp_path / "faults.toml"
+    path.write_text('[[fault]]\nkind = "gust"\nfor_s = 2\nsize = 0.5\n[[fault]]\nkind="vio_out"\n')
+    assert load_faults(path) == (Fault(Kind.GUST, for_s=2.0, size=0.5), Fault(Kind.VIO_OUT))
+    assert math.isinf(load_faults(path)[1].for_s)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "holds [[fault]] tables"),
+        ("fault = 3", "holds [[fault]] tables"),
+        ("[[fault]]\nfor_s = 1", "lacks its kind"),
+        ('[[fault]]\nkind = "flood"', "no fault 'flood'; there are: worker_killed"),
+        ('[[fault]]\nkind = "gust"\nforce = 1', "unknown 'force'"),
+        ('[[fault]]\nkind = "gust"\nfor_s = "long"', "for_s = long is no number"),
+        ('[[fault]]\nkind = "gust"\nfor_s = true', "for_s = True is no number"),
+        ('[[fault]]\nkind = "gust"\nfor_s = nan', "for_s = nan is no number"),
+        ('[[fault]]\nkind = "gust"\nfor_s = -1', "for_s = -1 must be over 0"),
+        ('[[fault]]\nkind = "gust"\nsize = 9', "size = 9 in"),
+        ('[[fault]]\nkind = "gust"\nnearest_m = 2\nfarthest_m = 1', "does not hold"),
+        ("[[fault", "Expected"),
+    ],
+)
+def test_a_file_that_says_nonsense_is_refused_in_one_line(tmp_path: Path, text, says) -> None:
+    """With the path, the field, and what it may be."""
+    path = tmp_path / "faults.toml"
+    path.write_text(text)
+    with pytest.raises(CampaignError, match=r"faults.toml: ") as refused:
+        load_faults(path)
+    assert says in str(refused.value)
+
+
+def test_a_file_that_is_not_there() -> None:
+    """Named."""
+    with pytest.raises(CampaignError, match="nowhere.toml: No such file"):
+        load_faults(Path("nowhere.toml"))

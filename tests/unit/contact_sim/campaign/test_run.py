@@ -1,0 +1,198 @@
+"""Campaigns: what is planned, kept, resumed, and told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from scipy.stats import binomtest
+from typer.testing import CliRunner
+
+from contact_sim.__main__ import app
+from contact_sim.campaign.faults import Fault, Kind
+from contact_sim.campaign.report import page, summary, wilson
+from contact_sim.campaign.row import NAMES, FlightRow, as_cells, from_cells
+from contact_sim.campaign.run import Job, Table, ablated, fly_campaign, fly_job, plan, read_table
+from contact_sim.errors import CampaignError, ServiceError, SimulatorError
+from contact_sim.lockstep.flight import LockstepSettings
+
+ROW = FlightRow(
+    world="tunnel",
+    seed=3,
+    fault="none",
+    ablation="none",
+    phase="done",
+    reason="back",
+    ends="contact",
+    attempts=1,
+    struck_m=None,
+    touched=True,
+    offset_m=0.004,
+    touch_left_m=0.001,
+    touch_up_m=-0.0039,
+    closing_mps=0.03,
+    peak_force_n=1.2,
+    press_force_n=1.0,
+    pressed_s=2.0,
+    outside_m=0.0,
+    collisions="",
+    nearest_m=-0.01,
+    end_m=0.95,
+    flown_s=27.0,
+    drift_m=0.02,
+    found=380,
+    frames=400,
+    accepted=395,
+    gated=2,
+    wall_s=3.0,
+)
+
+
+def test_a_row_comes_back_from_its_cells() -> None:
+    """None, text, numbers and yes or no."""
+    for row in (ROW, replace(ROW, touched=False, offset_m=None, collisions="a on b; c on d")):
+        cells = {k: str(v) for k, v in as_cells(row).items()}
+        assert from_cells(cells) == row
+    with pytest.raises(ValueError, match="column seed is missing"):
+        from_cells({"world": "tunnel"})
+
+
+def test_a_table_goes_on_where_it_was(tmp_path: Path) -> None:
+    """What was flown is not flown again; a line that was cut off is."""
+    path = tmp_path / "flights.csv"
+    table = Table(path, goes_on=False)
+    table.add(ROW)
+    table.add(replace(ROW, seed=4))
+    table.close()
+    path.write_text(path.read_text()[:-40])
+    assert read_table(path) == [ROW]
+    again = Table(path, goes_on=True)
+    assert again.rows == [ROW]
+    again.add(replace(ROW, seed=4))
+    again.close()
+    assert [row.seed for row in read_table(path)] == [3, 4]
+    anew = Table(path, goes_on=False)
+    anew.close()
+    assert read_table(path) == []
+
+
+def test_a_table_that_is_none_or_cannot_be_written_is_named(tmp_path: Path) -> None:
+    """A folder in its place, a file of something else."""
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(CampaignError, match="taken"):
+        Table(tmp_path / "taken", goes_on=False)
+    other = tmp_path / "other.csv"
+    other.write_text("a,b\n1,2\n3,4\n")
+    with pytest.raises(CampaignError, match=r"other.csv, line 2: column world is missing"):
+        read_table(other)
+
+
+def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
+    """Before anything is flown."""
+    (tmp_path / "flights.csv").symlink_to("/dev/full")
+    with pytest.raises(CampaignError, match="No space left"):
+        Table(tmp_path / "flights.csv", goes_on=False)
+
+
+def test_the_plan_has_every_flight_once() -> None:
+    """Faults and ablations are not crossed."""
+    faults = (None, Fault(Kind.GUST), Fault(Kind.VIO_OUT))
+    jobs = plan(["tunnel", "refinery"], range(5), faults, ["no_gate"], "clean", "wifi", None)
+    assert len(jobs) == len({job.key for job in jobs}) == 2 * 5 * (3 + 1)
+    with pytest.raises(CampaignError, match="no ablation 'magic'"):
+        plan(["tunnel"], range(1), (), ["magic"], "clean", "wifi", None)
+
+
+def test_an_ablation_leaves_out_what_it_says() -> None:
+    """And nothing else."""
+    whole = LockstepSettings()
+    assert ablated(whole, "none") is whole
+    assert ablated(whole, "composes_now") == replace(whole, composes_now=True)
+    assert ablated(whole, "no_gate") == replace(whole, gates=False)
+    funnel = ablated(whole, "no_funnel").parts.control.filter.funnel
+    assert funnel.r_c_m == 0.5
+
+
+def test_a_flight_that_cannot_be_flown_is_a_row_with_its_reason() -> None:
+    """A world that there is not; nothing is raised."""
+    row = fly_job(Job("moon", 0, "clean", "wifi"))
+    assert "no world 'moon'" in row.error
+    assert (row.ends, row.safe) == ("failed", False)
+
+
+def test_when_nothing_can_be_flown_it_ends_early(tmp_path: Path) -> None:
+    """Three of three: the fourth would be the same."""
+    table = Table(tmp_path / "flights.csv", goes_on=False)
+    jobs = [Job("moon", seed, "clean", "wifi") for seed in range(10)]
+    with pytest.raises(ServiceError, match="no flight succeeds; the last: no world 'moon'"):
+        fly_campaign(jobs, table, 1)
+    table.close()
+    assert len(table.rows) == 3
+
+
+@pytest.mark.parametrize(("hits", "of"), [(0, 10), (3, 10), (98, 100), (100, 100)])
+def test_the_intervals_are_wilsons(hits: int, of: int) -> None:
+    """SciPy says the same."""
+    expected = binomtest(hits, of).proportion_ci(0.95, "wilson")
+    assert wilson(hits, of) == pytest.approx((expected.low, expected.high), abs=1e-6)
+
+
+def test_the_numbers_are_those_of_the_rows() -> None:
+    """Contacts, retreats, collisions; what failed is counted apart."""
+    rows = [
+        ROW,
+        replace(ROW, seed=4, offset_m=0.015, attempts=2),
+        replace(ROW, seed=5, ends="retreat", phase="abort", offset_m=None, touched=False),
+        replace(ROW, seed=6, collisions="drone/propeller_0 on board", outside_m=0.002),
+        replace(ROW, seed=7, error="no OpenGL"),
+    ]
+    s = summary(rows)
+    assert (s["flights"], s["failed"], s["contact"], s["retreat"]) == (4, 1, 3, 1)
+    assert (s["within_2cm"], s["within_1cm"], s["first_attempt"]) == (3, 2, 2)
+    assert (s["collided"], s["outside"], s["safe"]) == (1, 1, 3)
+    assert s["outside_mm"] == 2.0
+    assert s["offset_mm"]["max"] == 15.0
+    assert s["real_time_factor"]["p50"] == 9.0
+    text = page(
+        [*rows, replace(ROW, fault="gust 2s"), replace(ROW, ablation="no_gate")], "cmd", "."
+    )
+    for words in ("75 % [30, 95]", "gust 2s", "without the delay gate", "no OpenGL"):
+        assert words in text
+
+
+def test_the_command_flies_and_tells(tmp_path: Path) -> None:
+    """Two flights in the tunnel by the model's eyes: a table, a page, JSON for machines."""
+    arguments = ["campaign", "--world", "tunnel", "--flights", "2", "--jobs", "1", "--json"]
+    arguments += ["--out", str(tmp_path)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert told["tunnel / none / none"]["contact"] == 2
+    rows = read_table(tmp_path / "flights.csv")
+    assert [row.seed for row in rows] == [0, 1]
+    assert all(row.safe for row in rows)
+    assert (tmp_path / "flights.csv").read_text().splitlines()[0] == ",".join(NAMES)
+    assert "contact within 2 cm" in (tmp_path / "flights.md").read_text()
+    before = (tmp_path / "flights.csv").read_bytes()
+    again = CliRunner().invoke(app, [*arguments, "--resume"])
+    assert again.exit_code == 0
+    assert (tmp_path / "flights.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--world", "moon"), "no world 'moon'; there are: tunnel, refinery"),
+        (("--link", "string"), "no link 'string'"),
+        (("--connect", "tcp/127.0.0.1:1"), "--connect is for --eyes service"),
+        (("--faults", "nowhere.toml"), "faults nowhere.toml: No such file"),
+    ],
+)
+def test_a_campaign_that_cannot_be_is_told_before_it_begins(tmp_path, arguments, says) -> None:
+    """One line, and no table."""
+    result = CliRunner().invoke(app, ["campaign", "--out", str(tmp_path / "out"), *arguments])
+    assert isinstance(result.exception, SimulatorError)
+    assert says in str(result.exception)
+    assert not (tmp_path / "out").exists()
