@@ -2,6 +2,7 @@
 # Sourced by the other scripts: a virtual environment with what a role needs, made once.
 #
 #   prepare EXTRAS     e.g. prepare drone,edge   ->   $ROOT/.venv
+#   prepare_gl         OpenGL without a screen, for the simulator
 #   help_of "$@"       for --help or -h: prints the script's own first comment, and ends it
 #
 # PYTHON           the interpreter to use (default: the first of python3.11 .. python3 that is new enough)
@@ -65,6 +66,17 @@ prepare() {
   fi
   set_up "$extras" "$python" "$stamp"
   exec 9<&-
+}
+
+# The simulator draws without a screen: Mesa's EGL, or OSMesa. Installed where we may; where not, the
+# simulator itself says what is missing.
+prepare_gl() {
+  "$BIN/python" -c 'import ctypes.util, sys; sys.exit(not any(map(ctypes.util.find_library, ("EGL", "OSMesa"))))' && return
+  if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+    say "installing libegl1 and libegl-mesa0, to draw without a screen ..."
+    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq libegl1 libegl-mesa0; } >/dev/null ||
+      say "could not install them"
+  fi
 }
 
 set_up() {
