@@ -253,7 +253,8 @@ def test_who_cannot_fly_is_told_why(fault: str, waits: LockstepSettings, why: st
 
 def test_a_hung_peer_is_waited_for_with_bounds() -> None:
     """While an answer misses, time goes on in steps of 4 ms, by no more than the wait allows."""
-    flown = fly("--fault", "hangs", "--fault-s", "2", waits=HASTY)
+    waits = LockstepSettings(first_s=60.0, idle_s=60.0, armed_s=0.3, hung_s=3.0)
+    flown = fly("--fault", "hangs", "--fault-s", "2", waits=waits)
     unanswered = flown.report.counts["unanswered"]
     assert 1 <= unanswered <= 11
     assert flown.report.simulated_s == pytest.approx(3.0 + 0.004 * unanswered, abs=0.005)
