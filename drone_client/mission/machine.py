@@ -194,8 +194,10 @@ def _entered(state: MissionState, move: Move, obs: Observation) -> MissionState:
             if before is Phase.HOLD and state.begun_ns is not None:
                 return state  # the same search goes on
             begun_ns = now_ns if state.begun_ns is None else state.begun_ns
-            # Lost near the board, nobody knows how near: it does not swing its arm there.
-            lost = before in (Phase.BRAKE, Phase.RETREAT) and state.tip_target is None
+            # Lost near the board, nobody knows how near: it does not swing its arm there. Before
+            # the first attempt it has not been near.
+            away = before in (Phase.BRAKE, Phase.RETREAT) and state.tip_target is None
+            lost = away and state.attempts > 0
             return replace(
                 state,
                 begun_ns=begun_ns,

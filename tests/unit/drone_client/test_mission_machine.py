@@ -516,6 +516,17 @@ def test_a_search_for_what_was_lost_near_the_board_does_not_turn() -> None:
     assert t.intent == Intent(blind=True)
 
 
+def test_a_search_that_was_stopped_before_anything_was_near_turns_on() -> None:
+    """A moment without a pose in the first search: the drone has not been near any board."""
+    t = Flown(MissionSettings(scan_half_rad=0.5, scan_radps=0.2)).ticks(0.6, None, heading_rad=0.0)
+    assert t.phase is Phase.SEARCH
+    t.ticks(0.1, None, own_pose=False, heading_rad=0.0)
+    assert (t.phase, t.reason) == (Phase.BRAKE, Reason.OWN_POSE_UNKNOWN)
+    t.ticks(2.0, None, heading_rad=0.0)
+    assert t.phase is Phase.SEARCH
+    assert t.intent.yaw_rate_radps == 0.2
+
+
 def test_a_search_that_is_held_goes_on_around_the_same_heading() -> None:
     """However often a person halts it, it does not work its way round."""
     t = Flown(MissionSettings(scan_half_rad=0.5, scan_radps=0.2))
