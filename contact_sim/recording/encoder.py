@@ -1,8 +1,8 @@
 """Pictures into a video file that browsers play, by OpenCV's own FFmpeg.
 
 OpenCV's wheel has neither x264 (GPL) nor an encoder for AV1, but libvpx: VP9 into .mp4, VP8 into
-.webm. It gives no way to choose speed or bit rate, so that VP9 takes a quarter of a second a
-picture, and VP8 less than a tenth.
+.webm. It gives no way to choose speed or bit rate, so that VP9 takes a third of a second a picture
+and more, and VP8 less than a tenth.
 """
 
 from __future__ import annotations
