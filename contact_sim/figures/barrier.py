@@ -1,0 +1,90 @@
+"""The barrier h over time, in both runs."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from contact_sim.figures.bench import FigureBench
+from contact_sim.figures.run import Run
+from contact_sim.figures.style import RUNS, finish, legend, mark_phases, new_figure
+from drone_client.mission import Phase
+
+AROUND_S: Final = (-5.0, 4.0)
+"""Before and after the touch."""
+
+
+def draw(bench: FigureBench) -> tuple[Any, str]:
+    """The whole flights, and what is close to zero around the touch."""
+    figure = new_figure(7.2)
+    panels = figure.subplots(3, 1, height_ratios=(1.0, 1.0, 1.1))
+    for axes, run, color in zip(panels, bench.runs, RUNS, strict=False):
+        axes.plot(run.t_s, run.h, color=color, lw=1.6, label="h at the true tip")
+        axes.plot(
+            run.tick_t_s, run.h_certain, color=color, lw=1.0, ls="--", label="h that is certain"
+        )
+        axes.axhline(0.0, color="black", lw=0.8)
+        axes.set_xlim(0.0, run.t_s[-1])
+        finish(axes, f"{run.label}: safe above 0", "time [s]", "h [m]")
+        mark_phases(axes, run.phases)
+        legend(axes, loc="lower right")
+    _around_the_touch(panels[2], bench.runs)
+    return figure, _caption(bench)
+
+
+def _around_the_touch(axes: Any, runs: tuple[Run, Run]) -> None:
+    for run, color in zip(runs, RUNS, strict=True):
+        if run.touch_s is None:
+            continue
+        axes.plot(run.t_s - run.touch_s, 1e3 * run.h, color=color, lw=1.6, label=run.label)
+        axes.plot(run.tick_t_s - run.touch_s, 1e3 * run.h_certain, color=color, lw=1.0, ls="--")
+    axes.axhline(0.0, color="black", lw=0.8)
+    axes.axvline(0.0, color="black", lw=0.8, ls=":")
+    axes.set_xlim(*AROUND_S)
+    axes.set_ylim(-150.0, 340.0)
+    finish(axes, "around the touch", "time after the touch [s]", "h [mm]")
+    legend(axes, loc="lower left")
+
+
+def entered_s(run: Run) -> float | None:
+    """When the tip came into the safe set to stay there until the touch; None: it did not."""
+    before = run.t_s <= (run.touch_s or run.t_s[-1])
+    outside = np.nonzero(run.h[before] < 0.0)[0]
+    if not len(outside):
+        return float(run.t_s[0])
+    after = outside[-1] + 1
+    return float(run.t_s[after]) if after < before.sum() else None
+
+
+def least(run: Run) -> tuple[float, float] | None:
+    """The least h of the true tip from the first approach on [m], and when [s]; None: none."""
+    start_s = run.began(Phase.APPROACH)
+    if start_s is None:
+        return None
+    later = np.nonzero(run.t_s >= start_s)[0]
+    i = later[np.argmin(run.h[later])]
+    return float(run.h[i]), float(run.t_s[i])
+
+
+def _of(run: Run) -> str:
+    """What happened in one run."""
+    entered, low = entered_s(run), least(run)
+    side = "outside" if run.h[0] < 0.0 else "inside"
+    words = f"{run.label} starts {side}, at h = {run.h[0]:.2f} m"
+    if entered is None or low is None:
+        return f"{words}, and does not stay in the safe set"
+    if run.h[0] < 0.0:
+        words += f", and stays inside from {entered:.1f} s on"
+    h_m, at_s = low
+    phase = [phase for t_s, phase in run.phases if t_s <= at_s][-1]
+    return f"{words}; from its approach on h is at least {1e3 * h_m:.0f} mm (in {phase.value})"
+
+
+def _caption(bench: FigureBench) -> str:
+    first, second = (_of(run) for run in bench.runs)
+    return (
+        f"The barrier at the true tip over time: {first}; {second}. Dashed: what the filter was "
+        "certain of, with the error ball taken off. The dips as an approach and a retreat begin "
+        "are the vehicle's: it pitches to gain speed, and the tip, 55 cm ahead, swings up or down."
+    )

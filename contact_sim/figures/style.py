@@ -1,0 +1,128 @@
+"""How all figures look, and how one gets to disk: whole, or not at all."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from contact_sim.errors import FigureError
+from drone_client.mission import Phase
+
+WIDTH_IN: Final = 8.0
+DPI: Final = 125
+"""1000 px wide: at 800 px a text of 9 points is still 10 px high."""
+# Okabe and Ito's colours, which differ for every kind of sight
+BLUE: Final = "#0072B2"
+ORANGE: Final = "#D55E00"
+GREEN: Final = "#009E73"
+PURPLE: Final = "#CC79A7"
+SKY: Final = "#56B4E9"
+AMBER: Final = "#E69F00"
+YELLOW: Final = "#F0E442"
+GRAY: Final = "#777777"
+AXES: Final = (BLUE, ORANGE, GREEN)
+"""Of x, y and z."""
+RUNS: Final = (BLUE, ORANGE)
+"""Of run 1 and run 2."""
+CAPTION_KEY: Final = "Description"
+NAMED_SHARE: Final = 0.035
+"""A phase that lasts less than this share of the axis has no room for its name."""
+
+
+def new_figure(height_in: float) -> Any:
+    """An empty figure of the common width."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def finish(axes: Any, title: str, x_label: str, y_label: str) -> None:
+    """Title, labels with their units, and a grid that keeps back."""
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.set_xlabel(x_label, fontsize=9)
+    axes.set_ylabel(y_label, fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.grid(alpha=0.3)
+
+
+def legend(axes: Any, **where: Any) -> None:
+    """A small legend inside the axes, where there is most room unless told otherwise."""
+    axes.legend(fontsize=8, framealpha=0.9, **({"loc": "best"} | where))
+
+
+def mark_phases(axes: Any, starts: Sequence[tuple[float, Phase]], *, named: bool = True) -> None:
+    """A dotted line where the mission went into another phase, with its name on top.
+
+    Args:
+        axes: time in seconds along x.
+        starts: when each phase began.
+        named: False: the lines alone.
+    """
+    low, high = axes.get_xlim()
+    ends = [at_s for at_s, _ in starts[1:]] + [high]
+    for (at_s, phase), end_s in zip(starts, ends, strict=True):
+        if not low <= at_s <= high:
+            continue
+        axes.axvline(at_s, color=GRAY, ls=":", lw=0.9)
+        if named and end_s - at_s > NAMED_SHARE * (high - low):
+            axes.annotate(
+                phase.value,
+                (at_s, 1.0),
+                xycoords=("data", "axes fraction"),
+                xytext=(2, -2),
+                textcoords="offset points",
+                rotation=90,
+                va="top",
+                ha="left",
+                fontsize=7.5,
+                color="#444444",
+            )
+
+
+def save(figure: Any, path: Path, caption: str) -> None:
+    """Write the PNG, with its caption inside it.
+
+    Raises:
+        FigureError: it cannot be written.
+    """
+    from PIL import Image  # matplotlib brings it
+    from PIL.PngImagePlugin import PngInfo
+
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=DPI, format="png")
+    words = PngInfo()
+    words.add_text(CAPTION_KEY, caption)
+    part = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with Image.open(drawn) as picture:
+            # 256 colours: nobody sees it, and it is a third of the bytes
+            few = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+        few.save(part, format="PNG", pnginfo=words, optimize=True)
+        os.replace(part, path)
+    except OSError as error:
+        raise FigureError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def caption_of(path: Path) -> str:
+    """The caption inside a figure.
+
+    Raises:
+        FigureError: there is no such figure, or it has none.
+    """
+    from PIL import Image, UnidentifiedImageError  # matplotlib brings it
+
+    try:
+        with Image.open(path) as picture:
+            caption = picture.info.get(CAPTION_KEY)
+    except (OSError, UnidentifiedImageError) as error:
+        raise FigureError(f"cannot read figure {path}: {error}") from None
+    if not isinstance(caption, str) or not caption:
+        raise FigureError(f"{path} has no caption: it is no figure of scripts/figures")
+    return caption

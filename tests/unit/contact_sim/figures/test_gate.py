@@ -1,0 +1,50 @@
+"""The figure of the gate: a slow link, and verdicts that keep the two bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contact_sim.figures import gate
+from contact_sim.figures.bench import FigureBench
+from contact_sim.figures.run import Run, fly
+from contact_sim.scene import build_scene
+from drone_client.gate import Verdict
+from drone_client.mission import Phase
+
+TAU_MAX_NS, AGE_MAX_NS = 250_000_000, 300_000_000
+
+
+def slow_run() -> Run:
+    return fly(
+        "slow", build_scene(gate.WORLD, gate.SEED), gate.SEED, before_tick=gate.SlowLink(gate.SEED)
+    )
+
+
+def test_the_slow_link_is_refused_by_both_bounds_and_the_drone_backs_off_and_comes_again():
+    """Every verdict is what the two numbers ask for; the slow time is one stretch."""
+    run = slow_run()
+    found = gate.by_verdict(run.receptions)
+    assert {Verdict.ACCEPTED, Verdict.NETWORK_DELAY, Verdict.TOO_OLD} <= set(found)
+    for verdict, receptions in found.items():
+        for reception in receptions:
+            delay, age = reception.judgement.network_delay_ns, reception.judgement.age_ns
+            if verdict is Verdict.ACCEPTED:
+                assert delay <= TAU_MAX_NS
+                assert age <= AGE_MAX_NS
+            elif verdict is Verdict.NETWORK_DELAY:
+                assert delay > TAU_MAX_NS
+            elif verdict is Verdict.TOO_OLD:
+                assert delay <= TAU_MAX_NS
+                assert age > AGE_MAX_NS
+    refused = [r.t4_ns for r in found[Verdict.NETWORK_DELAY]]
+    assert np.ptp(refused) < gate.SLOW_S * 1e9
+    phases = [phase for _, phase in run.phases]
+    assert phases.count(Phase.APPROACH) == 2
+    assert phases[-1] is Phase.DONE
+
+
+def test_it_is_drawn(bench: FigureBench):
+    """With the counts of its verdicts."""
+    figure, caption = gate.draw(bench)
+    assert len(figure.axes) == 3
+    assert "were refused" in caption
