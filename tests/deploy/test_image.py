@@ -98,7 +98,7 @@ def test_the_image_holds_every_package_that_a_role_needs():
     assert all((ROOT / source).exists() for source in copied)
     found = PROJECT["tool"]["setuptools"]["packages"]["find"]["include"]
     packages = {name.rstrip("*") for name in found}
-    assert packages - copied == {"detector_training", "link_emulator"}
+    assert packages - copied == {"contact_sim", "detector_training", "link_emulator"}
 
 
 def test_the_ports_are_those_of_both_links_and_of_http():
