@@ -9,7 +9,7 @@ import numpy as np
 from contact_sim.figures.bench import FigureBench
 from contact_sim.figures.run import Run
 from contact_sim.figures.style import RUNS, finish, legend, mark_phases, new_figure
-from drone_client.mission import Phase
+from drone_client.mission import Phase, Reason
 
 AROUND_S: Final = (-5.0, 4.0)
 """Before and after the touch."""
@@ -76,9 +76,20 @@ def _of(run: Run) -> str:
         return f"{words}, and does not stay in the safe set"
     if run.h[0] < 0.0:
         words += f", and stays inside from {entered:.1f} s on"
+    words += _stops(run)
     h_m, at_s = low
     phase = [phase for t_s, phase in run.phases if t_s <= at_s][-1]
     return f"{words}; from its approach on h is at least {1e3 * h_m:.0f} mm (in {phase.value})"
+
+
+def _stops(run: Run) -> str:
+    """How often it stood still on the way in for want of an answer, and which attempt it was."""
+    stops = sum(t.reason is Reason.TARGET_OLD for t in run.flown.transitions)
+    if not stops:
+        return ""
+    often = "once" if stops == 1 else f"{stops} times"
+    which = "" if run.flown.attempts == 1 else f" and touches at attempt {run.flown.attempts}"
+    return f", stops {often} on the way as the newest answer is too old{which}"
 
 
 def _caption(bench: FigureBench) -> str:

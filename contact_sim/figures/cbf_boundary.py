@@ -10,7 +10,6 @@ from contact_sim.figures.bench import FigureBench
 from contact_sim.figures.run import Run
 from contact_sim.figures.style import GRAY, PURPLE, RUNS, finish, legend, new_figure
 from drone_client.cbf import CuspFunnel, Funnel
-from drone_client.mission import Phase
 from rgbd_wire.geometry import Array
 
 REACH_M: Final = 1.3
@@ -57,9 +56,8 @@ def edge_m(funnel: Funnel, rho: Array) -> Array:
 
 
 def way_in(run: Run) -> Array:
-    """The tip (n, 3) from the start until the contact, or to the end where there was none."""
-    end_s = run.began(Phase.RETREAT)
-    return run.tip if end_s is None else run.tip[run.t_s <= end_s]
+    """The tip (n, 3) from the start until it goes back from contact."""
+    return run.tip[run.t_s <= run.contact_end_s]
 
 
 def _start(tip: Array) -> tuple[list[float], list[float]]:

@@ -67,8 +67,8 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     right = np.cumsum([s.found is not None for s in sights])
     false = np.cumsum([s.false for s in sights])
     for part, alpha, name in (
-        (True, 0.3, "in part, far or aside"),
-        (False, 1.0, "a whole board in view"),
+        (True, 0.25, "in part, far or aside"),
+        (False, 0.45, "a whole board in view"),
     ):
         for number, (start_s, end_s) in enumerate(stays(sights, part=part)):
             label = None if number else name
@@ -77,7 +77,7 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     axes.step(t_s, false, where="post", color=ORANGE, lw=1.4, ls="--", label="found where none is")
     axes.plot(
         t_s, np.cumsum([s.in_view is not None for s in sights]), color=GRAY, lw=1.0, ls=":",
-        label="pictures with a board in view",
+        label="pictures with a whole board",
     )  # fmt: skip
     axes.set_xlim(0.0, t_s[-1])
     finish(axes, "detections during a flight past five boards", "time [s]", "pictures, in all")

@@ -9,7 +9,6 @@ import numpy as np
 from contact_sim.figures.bench import FigureBench
 from contact_sim.figures.run import Run
 from contact_sim.figures.style import AXES, PURPLE, finish, legend, mark_phases, new_figure
-from drone_client.mission import Phase
 
 CLOSE_MM: Final = 40.0
 
@@ -45,7 +44,7 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
 
 def settled_s(run: Run) -> tuple[float, float]:
     """When e_y, e_z stay within 5 cm until the touch, and when e_x does [s]."""
-    end = run.t_s <= (run.began(Phase.RETREAT) or run.t_s[-1])
+    end = run.t_s <= run.contact_end_s
     across = np.hypot(run.tip[end, 1], run.tip[end, 2])
     return _last_over(run.t_s[end], across), _last_over(run.t_s[end], np.abs(run.tip[end, 0]))
 

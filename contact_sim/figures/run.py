@@ -143,9 +143,25 @@ class Run:
         return next((t_s for t_s, p in self.phases if p is phase), None)
 
     @property
+    def attempt_s(self) -> float:
+        """When the approach began that came to contact; the start where none did."""
+        contact_s = self.began(Phase.CONTACT)
+        starts = [t_s for t_s, p in self.phases if p is Phase.APPROACH]
+        before = [t_s for t_s in starts if contact_s is not None and t_s <= contact_s]
+        return before[-1] if before else 0.0
+
+    @property
     def touch_s(self) -> float | None:
-        """When the tip first pressed on something; None: never."""
-        return next((p.t_s for p in self.pushes if p.force_n > 0.0), None)
+        """When the tip first pressed on something in that approach; None: never."""
+        pressed = (p.t_s for p in self.pushes if p.force_n > 0.0 and p.t_s >= self.attempt_s)
+        return next(pressed, None)
+
+    @property
+    def contact_end_s(self) -> float:
+        """When it went back from contact; the end of the flight where it did not."""
+        contact_s = self.began(Phase.CONTACT)
+        ends = [t_s for t_s, _ in self.phases if contact_s is not None and t_s > contact_s]
+        return ends[0] if ends else float(self.t_s[-1])
 
 
 def fly(

@@ -27,6 +27,7 @@ AXES: Final = (BLUE, ORANGE, GREEN)
 """Of x, y and z."""
 RUNS: Final = (BLUE, ORANGE)
 """Of run 1 and run 2."""
+_LINES: Final = (BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER, YELLOW, GRAY)
 CAPTION_KEY: Final = "Description"
 NAMED_SHARE: Final = 0.035
 """A phase that lasts less than this share of the axis has no room for its name."""
@@ -102,8 +103,12 @@ def save(figure: Any, path: Path, caption: str) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with Image.open(drawn) as picture:
-            # 256 colours: nobody sees it, and it is a third of the bytes
-            few = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+            full = picture.convert("RGB")
+        # 256 colours, lines in their own: nobody sees it, and it is a third of the bytes
+        palette = Image.new("P", (1, 1))
+        common = (full.quantize(256 - len(_LINES)).getpalette() or [])[: 3 * (256 - len(_LINES))]
+        palette.putpalette(common + [v for line in _LINES for v in bytes.fromhex(line[1:])])
+        few = full.quantize(palette=palette, dither=Image.Dither.NONE)
         few.save(part, format="PNG", pnginfo=words, optimize=True)
         os.replace(part, path)
     except OSError as error:
