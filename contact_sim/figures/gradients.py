@@ -56,7 +56,7 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
         axes.set_xlim(0.0, 40.0)
         axes.set_ylim(-5.0, 115.0)
         title = (
-            f"{NAMES[variant]}: {touched(runs)} of {len(runs)}\ntouch, {kept(runs)} keep contact"
+            f"{NAMES[variant]}:\n{touched(runs)} of {len(runs)} touch, {kept(runs)} keep contact"
         )
         finish(axes, title, "time from the approach on [s]", "")
         axes.set_title(title, fontsize=9, loc="left")

@@ -26,8 +26,9 @@ def page(folder: Path, beside: Path) -> str:
     lines = [
         "# Figures",
         "",
-        "`scripts/figures --page docs/results/figures.md` draws them all; `scripts/figures NAME`",
-        "draws one. The flights are those of the real client in the simulator, in lockstep: a seed",
+        "`scripts/figures --page docs/results/figures.md` draws them all, `scripts/figures NAME`",
+        "one; with `--service` the two runs see drawn pictures through a real service, as their",
+        "captions say. Flights are of the real client in the simulator, in lockstep: a seed",
         "gives the same flight every time. The numbers in the captions come from what is drawn.",
         "",
     ]

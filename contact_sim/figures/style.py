@@ -27,7 +27,7 @@ AXES: Final = (BLUE, ORANGE, GREEN)
 """Of x, y and z."""
 RUNS: Final = (BLUE, ORANGE)
 """Of run 1 and run 2."""
-_LINES: Final = (BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER, YELLOW, GRAY)
+_LINES: Final = (BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER, YELLOW, GRAY, "#ffffff", "#000000")
 CAPTION_KEY: Final = "Description"
 NAMED_SHARE: Final = 0.035
 """A phase that lasts less than this share of the axis has no room for its name."""
