@@ -139,6 +139,7 @@ class Simulation:
         mujoco.mj_forward(self.model, self._data)
 
         self._steps = 0
+        self._truth: Truth | None = None
         self._setpoint = Setpoint()
         self._thrusts: Thrusts = (0.0, 0.0, 0.0, 0.0)
         self._wind_world = self.settings.wind.mean_world
@@ -271,7 +272,12 @@ class Simulation:
 
     @property
     def truth(self) -> Truth:
-        """How it really is."""
+        """How it really is; worked out once a step, however many ask."""
+        if self._truth is None or self._truth.t_ns != self.t_ns:
+            self._truth = self._look()
+        return self._truth
+
+    def _look(self) -> Truth:
         state = self._state
         return Truth(
             self.t_ns,

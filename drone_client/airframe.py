@@ -69,6 +69,14 @@ class Airframe:
         """A ceiling at a height in the odometry's world [m]."""
         return KeepOut("ceiling", self._parts, (0.0, 0.0, -1.0), -height_m, PlaneFrame.WORLD)
 
+    def planes(self, floor_m: float | None, ceiling_m: float | None) -> tuple[KeepOut, ...]:
+        """Its own planes, with a floor and a ceiling where there are any [m]."""
+        return (
+            *self.keep_outs,
+            *(() if floor_m is None else (self.floor(floor_m),)),
+            *(() if ceiling_m is None else (self.ceiling(ceiling_m),)),
+        )
+
     @property
     def _parts(self) -> tuple[BodyPart, ...]:
         return tuple(dict.fromkeys(part for plane in self.keep_outs for part in plane.parts))

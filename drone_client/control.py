@@ -33,7 +33,7 @@ from drone_client.mission import (
     step,
 )
 from drone_client.target import Source, TargetEstimate
-from rgbd_wire.geometry import Array, Pose
+from rgbd_wire.geometry import Array, Pose, vec3
 
 UP_WORLD = np.array([0.0, 0.0, 1.0])
 
@@ -180,12 +180,12 @@ def _scene(estimate: TargetEstimate, world_from_body: Pose, airframe: Airframe) 
     return _Scene(
         target_from_tip,
         target_from_body,
-        _vec3(target_from_world.translation),
+        vec3(target_from_world.translation),
         target_from_world.rotation.T,
-        _vec3(target_from_tip.translation),
-        _vec3(world_from_body @ airframe.body_from_tip.translation),
-        _vec3(target_from_tip.translation - target_from_body.translation),
-        _vec3(target_from_world.rotation @ UP_WORLD),
+        vec3(target_from_tip.translation),
+        vec3(world_from_body @ airframe.body_from_tip.translation),
+        vec3(target_from_tip.translation - target_from_body.translation),
+        vec3(target_from_world.rotation @ UP_WORLD),
         float(airframe.body_from_tip.translation[0]),
     )
 
@@ -208,9 +208,9 @@ def _observe(
         seen = Seen(
             tip_target=scene.tip_target,
             tip_world=scene.tip_world,
-            axis_world=_vec3(scene.world_from_target_rotation[:, 0]),
+            axis_world=vec3(scene.world_from_target_rotation[:, 0]),
             yaw_error_rad=yaw_error_rad(
-                _vec3(scene.target_from_tip.rotation[:, 0]), scene.up_target
+                vec3(scene.target_from_tip.rotation[:, 0]), scene.up_target
             ),
             age_ns=age_ns,
             freshness=freshness(age_ns, settings.filter),
@@ -234,9 +234,4 @@ def stop_command(now_ns: int) -> VelocityCommand:
 
 def _rows(rotation: Array) -> Rotation:
     a, b, c = rotation
-    return _vec3(a), _vec3(b), _vec3(c)
-
-
-def _vec3(v: Array) -> Vec3:
-    x, y, z = v.tolist()
-    return x, y, z
+    return vec3(a), vec3(b), vec3(c)

@@ -25,6 +25,12 @@ UNIT_QUATERNION_TOLERANCE = 1e-3
 """How far from one a quaternion's norm may be before it is refused and not normalised."""
 
 
+def vec3(v: Array) -> tuple[float, float, float]:
+    """A vector (3,) as plain floats, for arithmetic that is quicker without arrays."""
+    x, y, z = v.tolist()
+    return x, y, z
+
+
 def skew(v: Array) -> Array:
     """The (3, 3) matrix whose product with ``w`` is ``v x w``."""
     x, y, z = v

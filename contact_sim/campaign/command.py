@@ -114,7 +114,7 @@ def campaign(
         )
         with bar:
             task = bar.add_task("flights", total=len(jobs_planned))
-            done = {(r.world, r.seed, r.fault, r.ablation) for r in table.rows if not r.error}
+            done = {row.key for row in table.rows if not row.error}
             bar.advance(task, sum(job.key in done for job in jobs_planned))
 
             def on_row(row: FlightRow) -> None:
@@ -167,7 +167,7 @@ def _faults(text: str) -> tuple[Fault, ...]:
 
 def _in_order(rows: list[FlightRow], keys: list[tuple[str, int, str, str]]) -> list[FlightRow]:
     """As they were planned; of a flight that was flown twice the last row."""
-    newest = {(r.world, r.seed, r.fault, r.ablation): r for r in rows}
+    newest = {row.key: row for row in rows}
     return [newest[key] for key in keys if key in newest]
 
 

@@ -54,6 +54,11 @@ class FlightRow:
     """Why there was no flight, or no end of one."""
 
     @property
+    def key(self) -> tuple[str, int, str, str]:
+        """What tells it from the others of a campaign; as ``Job.key``."""
+        return self.world, self.seed, self.fault, self.ablation
+
+    @property
     def safe(self) -> bool:
         """Nothing but the tip touched anything, and that not beside the mouth."""
         return not self.collisions and self.outside_m == 0.0 and not self.error

@@ -267,7 +267,7 @@ def fly_campaign(
         CampaignError: the table cannot be written any more, or a process died.
         ServiceError: no flight at all could be flown with the service.
     """
-    done = {(row.world, row.seed, row.fault, row.ablation) for row in table.rows if not row.error}
+    done = {row.key for row in table.rows if not row.error}
     left = [job for job in jobs if job.key not in done]
     failed = 0
     for row in fly_all(left, processes):

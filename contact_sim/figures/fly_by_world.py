@@ -11,12 +11,13 @@ import numpy as np
 
 from contact_sim.chance import stream
 from contact_sim.errors import FigureError
-from contact_sim.figures.picture import camera_at, project
+from contact_sim.figures.picture import camera_at
 from contact_sim.scene import SEEN_GROUP, Scene, build_scene
 from contact_sim.scene.board import print_texture
 from contact_sim.scene.shapes import add_shape, moved, panel
 from contact_sim.scene.textures import add_material
 from drone_client.airframe import CAMERA_DOWN_RAD
+from drone_client.viewing.overlay import project
 from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.geometry import Array, Pose
 from target_pose.target import Target, load_round_target

@@ -88,6 +88,7 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     for axes, across in ((plane, None), (times, "t")):
         for verdict, chosen in by_verdict(run.receptions).items():
             color, marker = _LOOKS.get(verdict, (GRAY, "+"))
+            # by_verdict has left out those of which a time is not known
             delays = [r.judgement.network_delay_ns / 1e6 for r in chosen]  # type: ignore[operator]
             ages = [r.judgement.age_ns / 1e6 for r in chosen]  # type: ignore[operator]
             name = f"{verdict.value.replace('_', ' ')} ({len(chosen)})"

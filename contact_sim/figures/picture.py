@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
@@ -15,12 +14,12 @@ from contact_sim.scene.drone import add_drone
 from contact_sim.sensing import d455
 from contact_sim.sensing.rgbd import Picture, RgbdModel
 from drone_client.airframe import FLU_FROM_RDF, Airframe
+from drone_client.viewing.overlay import project
 from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.geometry import Array, Pose, rotation_from_vector
 from target_pose.target import Target
 
-NEAREST_M: Final = 0.05
 CIRCLE: Final = np.linspace(0.0, 2.0 * math.pi, 73)
 
 
@@ -41,12 +40,7 @@ class Studio:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._camera.close()
 
     def take(
@@ -92,14 +86,6 @@ def camera_at(place_world: Array, heading_rad: float, down_rad: float = 0.0) -> 
     heading = rotation_from_vector(np.array([0.0, 0.0, heading_rad]))
     pitch = rotation_from_vector(np.array([0.0, down_rad, 0.0]))
     return Pose.from_rotation(heading @ pitch @ FLU_FROM_RDF, place_world)
-
-
-def project(points: Array, camera_from_frame: Pose, i: CameraIntrinsics) -> Array | None:
-    """Pixels (n, 2) of points (n, 3) of a frame; None: not all are before the camera."""
-    seen = points @ camera_from_frame.rotation.T + camera_from_frame.translation
-    if seen[:, 2].min() < NEAREST_M:
-        return None
-    return np.asarray(seen[:, :2] / seen[:, 2:] * (i.fx, i.fy) + (i.cx, i.cy))
 
 
 class Line(NamedTuple):

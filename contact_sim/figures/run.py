@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,20 +50,6 @@ class CloseWitness(Witness):
         truth = simulation.truth
         if (self._board_from_world @ truth.tip_world)[0] < NEAR_M:
             self.pushes.append(Push(truth.t_ns / 1e9, truth.tip_force_n, truth.arm_m))
-
-
-class WatchedFlight(LockstepFlight):
-    """A flight that also keeps every result that came in, with the gate's verdict."""
-
-    def __init__(self, scene: Scene, seed: int, link: str, eyes: Eyes, **more: Any) -> None:
-        self.receptions: list[Reception] = []
-        super().__init__(scene, seed, profile(link), lambda simulation: eyes, d455(), **more)
-        self.close_witness = CloseWitness(scene)
-        self.witness = self.close_witness
-
-    def _on_result(self, reception: Reception) -> None:
-        super()._on_result(reception)
-        self.receptions.append(reception)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +171,8 @@ def fly(
         before_tick: as in ``LockstepFlight.fly``.
     """
     looking = eyes or ModelEyes(d455().color, stream(seed, "eyes"))
-    flight = WatchedFlight(scene, seed, link, looking, settings=settings)
+    flight = LockstepFlight(scene, seed, profile(link), lambda _: looking, d455(), settings)
+    witness = flight.witness = CloseWitness(scene)
     flown = flight.fly(before_tick)
     return Run(
         label,
@@ -194,6 +181,6 @@ def fly(
         flown,
         flight.settings.parts.control.filter.funnel,
         tuple(flight.receptions),
-        tuple(flight.close_witness.pushes),
+        tuple(witness.pushes),
         scene.world_from_target.rotation.T,
     )

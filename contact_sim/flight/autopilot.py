@@ -5,9 +5,38 @@ from __future__ import annotations
 from dataclasses import replace
 
 from contact_sim.flight.live import LiveSimulation
+from contact_sim.vehicle.estimator import Estimate
 from drone_client.autopilot import VehicleState, VelocityCommand
+from drone_client.autopilot.offboard_rules import OffboardRules
 from drone_client.odometry import OdometrySample, RangeSample
 from rgbd_wire.clock import Clock
+
+
+def vehicle_state(
+    estimate: Estimate, rules: OffboardRules, t_heard_ns: int, offset_ns: int
+) -> VehicleState:
+    """What the autopilot says of itself.
+
+    Args:
+        estimate: stamped in simulated time.
+        rules: its mode.
+        t_heard_ns: drone's clock.
+        offset_ns: drone's clock minus simulated time.
+    """
+    valid = estimate.valid
+    return VehicleState(
+        t_heard_ns=t_heard_ns,
+        mode=rules.mode,
+        armed=rules.armed,
+        obeying=rules.obeying,
+        t_pose_ns=estimate.t_ns + offset_ns if valid else None,
+        world_from_body=estimate.world_from_body if valid else None,
+        velocity_world=estimate.velocity_world if valid else None,
+        battery_fraction=0.9,
+        landed=not rules.armed,
+        failsafe=rules.failsafe,
+        pose_resets=estimate.resets,
+    )
 
 
 class SimulatedVehicle:
@@ -36,20 +65,7 @@ class SimulatedVehicle:
         """What its estimator believes, in the world of the odometry."""
         live = self._live
         with live.look() as (simulation, offset_ns):
-            estimate, rules = simulation.estimate, live.rules
-            return VehicleState(
-                t_heard_ns=live.heard_ns,
-                mode=rules.mode,
-                armed=rules.armed,
-                obeying=rules.obeying,
-                t_pose_ns=estimate.t_ns + offset_ns if estimate.valid else None,
-                world_from_body=estimate.world_from_body if estimate.valid else None,
-                velocity_world=estimate.velocity_world if estimate.valid else None,
-                battery_fraction=0.9,
-                landed=not rules.armed,
-                failsafe=rules.failsafe,
-                pose_resets=estimate.resets,
-            )
+            return vehicle_state(simulation.estimate, live.rules, live.heard_ns, offset_ns)
 
     def engage(self) -> None:
         """Into the mode that takes commands."""

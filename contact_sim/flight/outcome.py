@@ -82,7 +82,6 @@ class Witness:
         self._target_from_world = world_from_target.inverse()
         self._touch: Array | None = None
         self._forces: list[float] = []
-        self._peak_n = 0.0
         self._outside_m = 0.0
         self._collisions: dict[str, None] = {}
         self._nearest_m = math.inf

@@ -11,7 +11,6 @@ import time
 import urllib.error
 import urllib.request
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self
 
 from contact_sim.errors import ServiceError
@@ -35,8 +34,8 @@ class ServiceProcess:
             folder: where its log goes.
             options: of ``edge-service serve``, beside the addresses.
         """
-        self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
-        self.http = f"127.0.0.1:{_free_port()}"
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.http = f"127.0.0.1:{free_port()}"
         self.log = folder / "edge-service.log"
         executable = Path(sys.executable).with_name("edge-service")
         if not executable.exists():
@@ -70,12 +69,7 @@ class ServiceProcess:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -108,7 +102,8 @@ class ServiceProcess:
         return f"(no log at {self.log})"
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """A TCP port that is free now."""
     with socket.socket() as s:
         s.bind(("127.0.0.1", 0))
         return int(s.getsockname()[1])

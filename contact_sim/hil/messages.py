@@ -14,6 +14,7 @@ from contact_sim.hil.instruments import Reading, frd_from_flu
 from contact_sim.hil.place import Place
 from contact_sim.simulation import Truth
 from drone_client.autopilot.ned import swap_attitude, swap_world
+from rgbd_wire.geometry import vec3
 
 GRAVITY_MPS2: Final = 9.80665
 """Of MAVLink's milli-g."""
@@ -72,7 +73,7 @@ def hil_sensor(reading: Reading) -> mav.MAVLink_message:
 
 def hil_gps(truth: Truth, place: Place) -> mav.MAVLink_message:
     """HIL_GPS of a receiver that is right: a home for PX4 to arm at, not a source to fly by."""
-    at = place.geodetic(_vec3(truth.world_from_body.translation))
+    at = place.geodetic(vec3(truth.world_from_body.translation))
     north, east, down = swap_world(truth.velocity_world).tolist()
     course = math.degrees(math.atan2(east, north)) % 360.0
     return mav.MAVLink_hil_gps_message(
@@ -94,9 +95,9 @@ def hil_gps(truth: Truth, place: Place) -> mav.MAVLink_message:
 
 def hil_state(truth: Truth, reading: Reading, place: Place) -> mav.MAVLink_message:
     """HIL_STATE_QUATERNION: how it really is, for PX4's log."""
-    at = place.geodetic(_vec3(truth.world_from_body.translation))
+    at = place.geodetic(vec3(truth.world_from_body.translation))
     north, east, down = swap_world(truth.velocity_world).tolist()
-    roll, pitch, yaw = frd_from_flu(_vec3(truth.rates_body))
+    roll, pitch, yaw = frd_from_flu(vec3(truth.rates_body))
     x, y, z = (_short(f / GRAVITY_MPS2 * 1000.0) for f in reading.force_frd)
     flow = [v - w for v, w in zip(truth.velocity_world.tolist(), truth.wind_world, strict=True)]
     airspeed = _short(math.hypot(*flow) * 100.0)
@@ -124,11 +125,6 @@ def acknowledged(command: int, *, taken: bool) -> mav.MAVLink_message:
     """COMMAND_ACK."""
     result = mav.MAV_RESULT_ACCEPTED if taken else mav.MAV_RESULT_UNSUPPORTED
     return mav.MAVLink_command_ack_message(command, result)
-
-
-def _vec3(v: object) -> tuple[float, float, float]:
-    x, y, z = v.tolist()  # type: ignore[attr-defined]
-    return x, y, z
 
 
 def _short(value: float) -> int:

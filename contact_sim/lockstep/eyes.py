@@ -12,6 +12,7 @@ from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.geometry import Array, Pose, rotation_from_vector
 from rgbd_wire.messages import Outcome, TargetPose, pack_covariance, pose_numbers
+from target_pose.lens import project
 
 BOARD_M = 0.4
 
@@ -146,6 +147,6 @@ class ModelEyes:
         points = corners @ camera_from_target.rotation.T + sight
         if points[:, 2].min() <= 0.05:
             return False
-        pixels = points[:, :2] / points[:, 2:] * (i.fx, i.fy) + (i.cx, i.cy)
+        pixels = project(points, i)
         inside = (pixels >= 0.0).all() and (pixels <= (i.width - 1, i.height - 1)).all()
         return bool(inside)

@@ -8,9 +8,10 @@ fix.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ from contact_sim.scene import Scene
 from contact_sim.sensing.rgbd import RgbdModel
 from contact_sim.simulation import STEP_NS, Simulation, SimulationSettings
 from drone_client.airframe import Airframe
-from drone_client.control import ControlSettings, Decision, OnMission, decide
+from drone_client.control import Decision, OnMission, decide
 from drone_client.flight_settings import FlightSettings, flight_settings
 from drone_client.fly.vehicle_pose import VehiclePose
 from drone_client.mission import MissionState, Order, Phase, Reason, Senses, Transition, begin
@@ -147,12 +148,12 @@ class LockstepFlight:
         self.witness = Witness(scene.world_from_target)
         self.ticks: list[Tick] = []
         self.transitions: list[Transition] = []
+        self.receptions: list[Reception] = []
+        """Every result that came in, with the gate's verdict."""
         self.mission: MissionState = begin(0)
         self._rig = rig
-        self._control = _with_planes(self.settings.parts.control, self.airframe, scene)
-        self._verdicts: dict[str, int] = {}
-        self._updates: dict[str, int] = {}
-        self._network_delay_ns: int | None = None
+        planes = self.airframe.planes(scene.floor_m, scene.ceiling_m)
+        self._control = replace(self.settings.parts.control, keep_outs=planes)
         gate = self.settings.parts.gate
         if not self.settings.gates:
             gate = replace(gate, tau_max_ns=10**11, age_max_ns=10**11)
@@ -240,8 +241,8 @@ class LockstepFlight:
             self.mission.reason,
             self.mission.attempts,
             tuple(self.transitions),
-            dict(self._verdicts),
-            dict(self._updates),
+            dict(Counter(r.judgement.verdict.value for r in self.receptions)),
+            dict(Counter(r.update.value for r in self.receptions if r.update is not None)),
             dict(self.worker.counts),
             tuple(self.witness.rows),
             tuple(self.ticks),
@@ -313,31 +314,15 @@ class LockstepFlight:
         self.mission = decision.mission
         if self.mission.transition is not None:
             self.transitions.append(self.mission.transition)
-        self.ticks.append(Tick(now_ns, decision, self._network_delay_ns))
+        newest = self.receptions[-1].judgement.network_delay_ns if self.receptions else None
+        self.ticks.append(Tick(now_ns, decision, newest))
         if decision.intent is not None and decision.intent.give_back:
             self.vehicle.rules.release()
             self._given_back = True
 
     def _on_result(self, reception: Reception) -> None:
-        verdict = reception.judgement.verdict.value
-        self._verdicts[verdict] = self._verdicts.get(verdict, 0) + 1
-        if reception.update is not None:
-            name = reception.update.value
-            self._updates[name] = self._updates.get(name, 0) + 1
-        self._network_delay_ns = reception.judgement.network_delay_ns
+        self.receptions.append(reception)
         self.worker.answered(reception.result.sequence, reception.result.outcome)
 
     def _on_jump(self, jump: Jump) -> None:
         self._receiver.begin_epoch(jump.t_ns)
-
-    def as_json(self) -> dict[str, Any]:
-        """The flight in numbers, for a table."""
-        flown = self.flown()
-        return {"phase": flown.phase.value, "reason": flown.reason.value} | flown.outcome.as_json()
-
-
-def _with_planes(control: ControlSettings, airframe: Airframe, scene: Scene) -> ControlSettings:
-    planes = [*airframe.keep_outs, airframe.floor(scene.floor_m)]
-    if scene.ceiling_m is not None:
-        planes.append(airframe.ceiling(scene.ceiling_m))
-    return replace(control, keep_outs=tuple(planes))

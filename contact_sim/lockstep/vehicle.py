@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contact_sim.flight.autopilot import vehicle_state
 from contact_sim.simulation import Simulation
 from drone_client.autopilot import VehicleState, VelocityCommand
 from drone_client.autopilot.offboard_rules import OffboardRules
@@ -16,8 +17,6 @@ class LockstepVehicle:
 
     def __init__(self, simulation: Simulation) -> None:
         self.rules = OffboardRules()
-        self.silent_since_ns: int | None = None
-        """The line to the autopilot is dead since then."""
         self._simulation = simulation
 
     def command(self, command: VelocityCommand) -> None:
@@ -32,20 +31,8 @@ class LockstepVehicle:
 
     def state(self) -> VehicleState | None:
         """What the estimator believes."""
-        estimate, rules = self._simulation.estimate, self.rules
-        return VehicleState(
-            t_heard_ns=self._simulation.t_ns,
-            mode=rules.mode,
-            armed=rules.armed,
-            obeying=rules.obeying,
-            t_pose_ns=estimate.t_ns if estimate.valid else None,
-            world_from_body=estimate.world_from_body if estimate.valid else None,
-            velocity_world=estimate.velocity_world if estimate.valid else None,
-            battery_fraction=0.9,
-            landed=False,
-            failsafe=rules.failsafe,
-            pose_resets=estimate.resets,
-        )
+        simulation = self._simulation
+        return vehicle_state(simulation.estimate, self.rules, simulation.t_ns, 0)
 
     def give_odometry(self, sample: OdometrySample) -> None:
         """To the estimator."""

@@ -33,7 +33,7 @@ from contact_sim.vehicle.quaternion import (
 from drone_client.bounds import check_bounds
 from drone_client.cbf.vector import ZERO, Vec3
 from drone_client.odometry import OdometrySample, RangeSample
-from rgbd_wire.geometry import Array, Pose
+from rgbd_wire.geometry import Array, Pose, vec3
 
 GRAVITY_MPS2 = 9.81
 
@@ -128,7 +128,7 @@ class Estimator:
         """
         self.settings = settings
         self.t_ns = t_ns
-        self.position: Vec3 = _vec3(world_from_body.translation)
+        self.position: Vec3 = vec3(world_from_body.translation)
         self.velocity: Vec3 = ZERO
         w, x, y, z = world_from_body.q_wxyz.tolist()
         self.q: Quaternion = (w, x, y, z)
@@ -305,7 +305,7 @@ class Estimator:
         dz = 0.0 if self.settings.height_by_lidar else off[2]
         self.position = x + off[0], y + off[1], z + dz
         self.q = product(from_vector(turn), self.q)
-        self.velocity = _vec3(sample.velocity_world)
+        self.velocity = vec3(sample.velocity_world)
         variance = self.settings.ekf2_evp_noise_m**2
         self._level.place_known(variance)
         if not self.settings.height_by_lidar:
@@ -316,8 +316,3 @@ class Estimator:
 
     def _now(self) -> Believed:
         return Believed(self.t_ns, self.position, self.q, self._moved, self._turned)
-
-
-def _vec3(v: Array) -> Vec3:
-    x, y, z = v.tolist()
-    return x, y, z

@@ -332,13 +332,11 @@ def _with_keep_outs(
         raise AirframeError(
             f"--floor-m {floor_m:g} is not below --ceiling-m {ceiling_m:g}: both are heights"
         )
-    planes = list(body.keep_outs)
     try:
-        planes += [] if floor_m is None else [body.floor(floor_m)]
-        planes += [] if ceiling_m is None else [body.ceiling(ceiling_m)]
+        planes = body.planes(floor_m, ceiling_m)
     except ValueError as error:
         raise AirframeError(str(error)) from None
-    return replace(parts, control=replace(parts.control, keep_outs=tuple(planes)))
+    return replace(parts, control=replace(parts.control, keep_outs=planes))
 
 
 @contextmanager

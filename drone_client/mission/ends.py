@@ -55,7 +55,7 @@ def end(state: MissionState, obs: Observation, settings: MissionSettings) -> Mov
 def _ordered(
     state: MissionState, obs: Observation, settings: MissionSettings
 ) -> tuple[Reason, str] | None:
-    """A person, or an empty battery; and a vehicle that never came."""
+    """A person, a silent VIO, an empty battery; and a vehicle that never came."""
     if obs.senses.order is Order.ABORT:
         return Reason.ORDERED_ABORT, "ended by a person"
     if state.begun_ns is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +12,7 @@ from drone_client.viewing.moments import Settled
 from drone_client.viewing.outlines import Rgb, board_outlines
 from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.geometry import Pose
+from target_pose import lens
 
 ACCEPTED: Final[Rgb] = (0.25, 0.95, 0.35)
 REFUSED: Final[Rgb] = (1.0, 0.35, 0.25)
@@ -32,20 +32,12 @@ class Mark(NamedTuple):
 def project(
     points: NDArray[np.float64], camera_from_frame: Pose, intrinsics: CameraIntrinsics
 ) -> NDArray[np.float64] | None:
-    """Pixels (n, 2) of points (n, 3) of a frame; None: not all of them are before the camera."""
+    """Pixels (n, 2) of points (n, 3) of a frame; None: not all of them have a place there."""
     in_camera = points @ camera_from_frame.rotation.T + camera_from_frame.translation
     if in_camera[:, 2].min() < NEAREST_M:
         return None
-    if intrinsics.model == "none":
-        scaled = in_camera[:, :2] / in_camera[:, 2:]
-        return np.asarray(scaled * (intrinsics.fx, intrinsics.fy) + (intrinsics.cx, intrinsics.cy))
-    if intrinsics.model == "inverse_brown_conrady":
-        lens = np.zeros(5)  # tells ideal points of seen ones: small, and not for a line on top
-    else:
-        lens = np.array(intrinsics.coefficients)
-    k = intrinsics.image_from_camera
-    pixels, _ = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), k, lens)
-    return np.asarray(pixels.reshape(-1, 2), dtype=np.float64)
+    pixels = lens.project(in_camera, intrinsics)
+    return pixels if np.isfinite(pixels).all() else None
 
 
 def marks(settled: Settled, facts: FlightFacts) -> list[Mark]:

@@ -51,7 +51,7 @@ def go(project, *arguments):
     )
 
 
-@pytest.mark.parametrize("name", ["bench", "check", "demo", "test"])
+@pytest.mark.parametrize("name", ["bench", "check", "demo", "figures", "test"])
 def test_every_script_has_a_help_that_names_it(name):
     """It ends at once, whatever is installed."""
     done = subprocess.run(

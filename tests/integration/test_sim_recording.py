@@ -31,6 +31,7 @@ from drone_client.viewing.recorder import FlightRecorder
 from drone_client.viewing.run_folder import RunFolder
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.messages import pose_numbers
+from tests.service_process import free_port
 from tests.unit.drone_client.view_builders import write_lines, write_run
 
 SECONDS = 1.5
@@ -134,11 +135,6 @@ def test_the_log_of_a_simulated_flight_has_its_truth(flight: tuple[Path, Simulat
     path = folder / "flight.mcap"
     write_mcap(folder, path, overwrite=False, console=Console(quiet=True))
     assert path.stat().st_size > 100_000
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as one:
-        return int(one.getsockname()[1])
 
 
 def dial(port: int):
