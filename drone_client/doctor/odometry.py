@@ -84,10 +84,7 @@ def collect_odometry(
             seen[kind] += 1
             oldest_ns[kind] = max(oldest_ns[kind], clock.now_ns() - sample.t_ns)
             if kind == "odometry":
-                motion = Motion(
-                    sample.t_ns, sample.world_from_body, sample.velocity_world, sample.resets
-                )
-                seen_jump = watch.see(motion)
+                seen_jump = watch.see(Motion.of(sample))
                 jump = jump or seen_jump
             else:
                 blind[kind] += not is_measured(sample)

@@ -101,7 +101,7 @@ class OdometryFeed:
         if sample is None or sample is self._odometry:
             return
         self._odometry = sample
-        motion = Motion(sample.t_ns, sample.world_from_body, sample.velocity_world, sample.resets)
+        motion = Motion.of(sample)
         with self._lock:
             jump = self._watch.see(motion)
             usable = self._watch.newest is motion  # else it came late, or is no number

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drone_client.bounds import check_bounds
+from drone_client.odometry import OdometrySample
 from rgbd_wire.geometry import Array, Pose, vector_from_rotation
 
 NS_PER_S = 1_000_000_000
@@ -145,6 +146,11 @@ class Motion(NamedTuple):
     velocity_world: Array | None = None  # (3,) [m/s]
     """None: the source tells none."""
     resets: int = 0
+
+    @classmethod
+    def of(cls, sample: OdometrySample) -> Motion:
+        """That of an odometry sample."""
+        return cls(sample.t_ns, sample.world_from_body, sample.velocity_world, sample.resets)
 
 
 class _Track(NamedTuple):
