@@ -75,7 +75,7 @@ class Outcome:
 
 
 class Witness:
-    """Looks at every turn of the simulation, and remembers what matters."""
+    """Looks 50 times a second, and at every turn in which something touches; keeps what matters."""
 
     def __init__(self, world_from_target: Pose) -> None:
         self.rows: list[Row] = []
@@ -88,7 +88,10 @@ class Witness:
         self._touching_turns = 0
 
     def look(self, simulation: Simulation) -> None:
-        """Take the moment."""
+        """Take the moment, if it is one: a free flight looks the same for 20 ms."""
+        due = not self.rows or simulation.t_ns - self.rows[-1].t_ns >= TRACK_NS
+        if not (due or simulation.contacts.touches):
+            return
         truth = simulation.truth
         tip_target = self._target_from_world @ truth.tip_world
         # Where the tip would be if the arm had not given way
@@ -108,7 +111,7 @@ class Witness:
                 self._touch = tip_target
             self._forces.append(truth.tip_force_n)
             self._touching_turns += 1
-        if not self.rows or truth.t_ns - self.rows[-1].t_ns >= TRACK_NS:
+        if due:
             self._add_row(simulation, (x, y, z), forward)
 
     def _add_row(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import mujoco
 import numpy as np
@@ -11,7 +13,7 @@ from contact_sim.scene import SEEN_GROUP
 from contact_sim.scene.shapes import Shape, add_shape, moved, panel
 from contact_sim.scene.textures import add_material
 from rgbd_wire.geometry import Pose
-from target_pose.target import Shade, Target
+from target_pose.target import Disc, Shade, Target
 
 PRINT_PX = 2048
 """Side of the texture: 0.2 mm of a board of 400 mm, a fifth of a pixel from 0.45 m away."""
@@ -31,7 +33,7 @@ def print_texture(
     target: Target, board: str, rng: np.random.Generator, side_px: int = PRINT_PX
 ) -> NDArray[np.uint8]:
     """The board seen from the front, (N, N, 3) RGB; first row up, as sRGB-like levels."""
-    albedo = _drawn(target, side_px)
+    albedo = _drawn(target.board_side_m, target.board_shade, target.discs, side_px)
     if board == "scratched":
         albedo = _worn(albedo, rng)
     levels = np.sqrt(albedo)  # the renderer's pictures are read as squares of light
@@ -39,15 +41,19 @@ def print_texture(
     return np.asarray(np.rint(255 * levels[..., None] * tint).astype(np.uint8))
 
 
-def _drawn(target: Target, side_px: int) -> NDArray[np.float32]:
-    """Albedo (N, N) of a fresh print, its edges averaged over each texel."""
-    texel_m = target.board_side_m / side_px
-    along = (np.arange(side_px, dtype=np.float32) + 0.5) * texel_m - target.board_side_m / 2
+@lru_cache(maxsize=2)
+def _drawn(
+    side_m: float, shade: Shade, discs: tuple[Disc, ...], side_px: int
+) -> NDArray[np.float32]:
+    """Albedo (N, N) of a fresh print, its edges averaged over each texel; read only."""
+    texel_m = side_m / side_px
+    along = (np.arange(side_px, dtype=np.float32) + 0.5) * texel_m - side_m / 2
     radius = np.hypot(along[:, None], along[None, :])
-    albedo = np.full((side_px, side_px), _ALBEDO[target.board_shade], np.float32)
-    for disc in sorted(target.discs, key=lambda d: -d.diameter_m):
+    albedo = np.full((side_px, side_px), _ALBEDO[shade], np.float32)
+    for disc in sorted(discs, key=lambda d: -d.diameter_m):
         covered = np.clip((disc.diameter_m / 2 - radius) / texel_m + 0.5, 0, 1)
         albedo += covered * (_ALBEDO[disc.shade] - albedo)
+    albedo.flags.writeable = False  # the next world's board is the same print
     return albedo
 
 
