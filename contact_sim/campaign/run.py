@@ -6,11 +6,14 @@ import csv
 import math
 import multiprocessing
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
 
@@ -213,16 +216,37 @@ def fly_all(jobs: Sequence[Job], processes: int) -> Iterator[FlightRow]:
         return
     # Nothing of this process's threads and GL may be inherited
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+    held, holding = context.Pipe(duplex=False)
+    with (
+        held,
+        holding,
+        ProcessPoolExecutor(processes, context, initializer=_end_with, initargs=(held,)) as pool,
+    ):
         futures: list[Future[FlightRow]] = [pool.submit(fly_job, job) for job in jobs]
         try:
             for future in as_completed(futures):
                 yield future.result()
         except BaseException as error:
-            pool.shutdown(wait=False, cancel_futures=True)
+            # The pool by itself would wait for the flights that are in the air
+            holding.close()
             if isinstance(error, OSError | RuntimeError):
                 raise CampaignError(f"a process of the campaign died: {error}") from None
             raise
+
+
+def _end_with(held: Connection) -> None:
+    """End this process, in mid-flight, as soon as the other end of a pipe is closed.
+
+    That is when the campaign is broken off, and when its process is killed.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is the campaign's to take
+
+    def watch() -> None:
+        with suppress(EOFError, OSError):
+            held.recv()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True, name="end with the campaign").start()
 
 
 def plan(

@@ -18,7 +18,7 @@ from contact_sim.chance import MAX_SEED
 from contact_sim.hil.flight import HilSettings
 from contact_sim.hil.ground import on_the_ground
 from contact_sim.hil.line import Door, Line, address_of
-from contact_sim.hil.lockstep import LockstepSettings
+from contact_sim.hil.lockstep import Patience
 from contact_sim.hil.session import INTERRUPTED, FlightReport, Session
 from contact_sim.scene import BOARDS, WORLDS, build_scene
 from rgbd_wire.clock import Clock, MonotonicClock
@@ -90,7 +90,7 @@ def hil(
     """
     host, port = address_of(listen)
     settings = HilSettings(gps=gps, vio=vio, thrust_curve=thrust_curve)
-    waits = LockstepSettings(armed_s=wait_s, hung_s=hung_s, boot_s=boot_s)
+    waits = Patience(armed_s=wait_s, hung_s=hung_s, boot_s=boot_s)
     console = Console(stderr=True)
     clock = MonotonicClock()
     reports: deque[FlightReport] = deque(maxlen=KEPT_FLIGHTS)

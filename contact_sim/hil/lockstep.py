@@ -33,7 +33,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class LockstepSettings:
+class Patience:
     """How long is waited; all of it on the machine's clock.
 
     Raises:
@@ -70,7 +70,7 @@ class ByteLine(Protocol):
 class Lockstep:
     """The exchange with one peer."""
 
-    def __init__(self, line: ByteLine, settings: LockstepSettings, clock: Clock) -> None:
+    def __init__(self, line: ByteLine, settings: Patience, clock: Clock) -> None:
         self.counts: Counter[str] = Counter()
         """``asked``, ``answered``, ``unanswered``; controls that were no answer by their stamp:
         ``late`` (to an earlier question), ``stale`` (older than what is flown), ``ahead`` (to one

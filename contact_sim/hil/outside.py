@@ -15,7 +15,7 @@ from contact_sim.hil.flight import HilFlight, HilSettings
 from contact_sim.hil.ground import on_the_ground
 from contact_sim.hil.line import Door
 from contact_sim.hil.live import HilLive
-from contact_sim.hil.lockstep import Lockstep, LockstepSettings
+from contact_sim.hil.lockstep import Lockstep, Patience
 from contact_sim.scene import Scene
 from contact_sim.simulation import Simulation, SimulationSettings
 from drone_client.airframe import Airframe
@@ -78,7 +78,7 @@ class Outside:
         while (line := self._door.wait(KNOCK_S)) is None:
             pass
         self._stack.callback(line.close)
-        exchange = Lockstep(line, LockstepSettings(), self._clock)
+        exchange = Lockstep(line, Patience(), self._clock)
         flight = HilFlight(simulation, exchange, seed, HilSettings(vio=False))
         self._flight = flight
         live = HilLive(flight, self._clock, on_turn)

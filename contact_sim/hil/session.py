@@ -11,7 +11,7 @@ from typing import Any, Final
 from contact_sim.errors import HilError, PeerGoneError, VehicleError
 from contact_sim.flight.outcome import Outcome, Witness
 from contact_sim.hil.flight import TURN_NS, HilFlight, HilSettings
-from contact_sim.hil.lockstep import ByteLine, Lockstep, LockstepSettings
+from contact_sim.hil.lockstep import ByteLine, Lockstep, Patience
 from contact_sim.scene import Scene
 from contact_sim.sensing import d455
 from contact_sim.simulation import Simulation, SimulationSettings
@@ -59,7 +59,7 @@ class Session:
         scene: Scene,
         seed: int,
         settings: HilSettings,
-        lockstep: LockstepSettings,
+        lockstep: Patience,
         clock: Clock,
         airframe: Airframe | None = None,
         rig: RgbdCamera | None = None,

@@ -19,7 +19,7 @@ import pytest
 from contact_sim.hil.flight import HilSettings
 from contact_sim.hil.ground import on_the_ground
 from contact_sim.hil.line import Door
-from contact_sim.hil.lockstep import LockstepSettings
+from contact_sim.hil.lockstep import Patience
 from contact_sim.hil.session import FlightReport, Session
 from contact_sim.scene import Scene, build_scene
 from contact_sim.simulation import Truth
@@ -30,7 +30,7 @@ PEER = Path(__file__).with_name("px4_hil_peer.py")
 CLIMBED_S = 6.0
 """It arms after one second, and climbs for four."""
 HOVER_S = 20.0
-PATIENT = LockstepSettings(first_s=60.0, idle_s=60.0, armed_s=60.0)
+PATIENT = Patience(first_s=60.0, idle_s=60.0, armed_s=60.0)
 """However loaded the machine is, every answer is waited for: flights are the same every time."""
 GIVE_UP_S = 60.0
 SEED = 3
@@ -74,7 +74,7 @@ def fly_at(
     door: Door,
     *options: str,
     scene: Scene | None = None,
-    waits: LockstepSettings = PATIENT,
+    waits: Patience = PATIENT,
     settings: HilSettings | None = None,
     speed: float = 0.0,
 ) -> Flown:
@@ -229,7 +229,7 @@ def test_who_goes_may_come_back_and_begins_anew(plain: Flown) -> None:
     assert np.array_equal(back.places, plain.places)
 
 
-HASTY = LockstepSettings(first_s=60.0, idle_s=60.0, armed_s=0.05, hung_s=0.5)
+HASTY = Patience(first_s=60.0, idle_s=60.0, armed_s=0.05, hung_s=0.5)
 
 
 @pytest.mark.parametrize(
@@ -239,12 +239,12 @@ HASTY = LockstepSettings(first_s=60.0, idle_s=60.0, armed_s=0.05, hung_s=0.5)
         ("old_stamps", HASTY, r"\d+ controls carried old stamps"),
         ("future_stamps", HASTY, r"\d+ stamps that are yet to come"),
         ("no_lockstep", PATIENT, "built without lockstep"),
-        ("silent", LockstepSettings(first_s=0.1, boot_s=1.0), "PWM_MAIN_FUNC1"),
+        ("silent", Patience(first_s=0.1, boot_s=1.0), "PWM_MAIN_FUNC1"),
         ("garbage_only", PATIENT, "without one MAVLink message"),
         ("flood", PATIENT, "bytes came in place of one answer"),
     ],
 )
-def test_who_cannot_fly_is_told_why(fault: str, waits: LockstepSettings, why: str) -> None:
+def test_who_cannot_fly_is_told_why(fault: str, waits: Patience, why: str) -> None:
     """Silence, clocks that are not the simulated one, garbage and floods end with a sentence."""
     flown = fly("--fault", fault, "--fault-s", "2", waits=waits)
     assert flown.report.failed
@@ -253,7 +253,7 @@ def test_who_cannot_fly_is_told_why(fault: str, waits: LockstepSettings, why: st
 
 def test_a_hung_peer_is_waited_for_with_bounds() -> None:
     """While an answer misses, time goes on in steps of 4 ms, by no more than the wait allows."""
-    waits = LockstepSettings(first_s=60.0, idle_s=60.0, armed_s=0.3, hung_s=3.0)
+    waits = Patience(first_s=60.0, idle_s=60.0, armed_s=0.3, hung_s=3.0)
     flown = fly("--fault", "hangs", "--fault-s", "2", waits=waits)
     unanswered = flown.report.counts["unanswered"]
     assert 1 <= unanswered <= 11
@@ -265,7 +265,7 @@ def test_who_boots_gets_time_and_no_gps_or_vio_if_not_wanted() -> None:
     flown = fly(
         "--fault",
         "silent",
-        waits=LockstepSettings(first_s=0.01, idle_s=0.004, boot_s=1.0),
+        waits=Patience(first_s=0.01, idle_s=0.004, boot_s=1.0),
         settings=HilSettings(gps=False, vio=False),
     )
     assert 0.0 < flown.report.simulated_s <= 1.1

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common as mav
 
 from contact_sim.errors import VehicleError
 from contact_sim.hil.flight import TURN_NS, HilFlight, HilSettings
-from contact_sim.hil.lockstep import Lockstep, LockstepSettings
+from contact_sim.hil.lockstep import Lockstep, Patience
 from contact_sim.hil.motors import Controls
 from contact_sim.scene.drone import MASS_KG
 from contact_sim.simulation import SimulationSettings
@@ -44,7 +44,7 @@ class Obedient:
 
 
 def flight(line: Obedient, settings: SimulationSettings = OUTSIDE) -> HilFlight:
-    exchange = Lockstep(line, LockstepSettings(), ManualClock())
+    exchange = Lockstep(line, Patience(), ManualClock())
     return HilFlight(simulation(settings=settings), exchange, 0, HilSettings())
 
 

@@ -12,7 +12,7 @@ from contact_sim.errors import PeerGoneError
 from contact_sim.flight.odometry import SimulatedOdometry
 from contact_sim.hil.flight import HilFlight, HilSettings
 from contact_sim.hil.live import HilLive
-from contact_sim.hil.lockstep import Lockstep, LockstepSettings
+from contact_sim.hil.lockstep import Lockstep, Patience
 from contact_sim.scene.drone import MASS_KG
 from contact_sim.simulation import Simulation, SimulationSettings
 from contact_sim.vehicle.rotors import MAX_THRUST_N
@@ -51,7 +51,7 @@ class Stage:
         self.seen: list[tuple[int, int]] = []
         self.turned = threading.Condition()
         sim = simulation(settings=SimulationSettings(rotors_from_outside=True))
-        lockstep = Lockstep(self.line, LockstepSettings(), self.clock)
+        lockstep = Lockstep(self.line, Patience(), self.clock)
         self.live = HilLive(
             HilFlight(sim, lockstep, 0, HilSettings(vio=False)),
             self.clock,

@@ -8,11 +8,11 @@ import pytest
 from pymavlink.dialects.v20 import common as mav
 
 from contact_sim.errors import HilError, PeerGoneError
-from contact_sim.hil.lockstep import MAX_ANSWER_BYTES, Lockstep, LockstepSettings
+from contact_sim.hil.lockstep import MAX_ANSWER_BYTES, Lockstep, Patience
 from contact_sim.hil.reader import Interval
 from rgbd_wire.clock import ManualClock
 
-WAITS = LockstepSettings(first_s=1.0, idle_s=0.004, armed_s=0.5, hung_s=2.0, boot_s=3.0)
+WAITS = Patience(first_s=1.0, idle_s=0.004, armed_s=0.5, hung_s=2.0, boot_s=3.0)
 
 
 class Line:
@@ -226,4 +226,4 @@ def test_who_goes_is_gone(line, exchange):
 def test_waits_have_bounds():
     """A wait without end is none."""
     with pytest.raises(ValueError, match="hung_s"):
-        LockstepSettings(hung_s=float("inf"))
+        Patience(hung_s=float("inf"))
