@@ -30,6 +30,13 @@ open_engine("torch", None, threads=1).detect(np.zeros((96, 96, 3), np.uint8))
 OF_A_DRONE = """
 import drone_client.cli, drone_client.load_test, drone_client.snap, drone_client.plot
 """
+OF_A_SIMULATOR = """
+import contact_sim.campaign.command, contact_sim.figures.command, contact_sim.hil.command
+import contact_sim.flight.plugin, contact_sim.recording.film
+from contact_sim.campaign.run import Job, fly_job
+row = fly_job(Job("tunnel", 0, "clean", "wifi"))
+assert not row.error, row.error
+"""
 
 
 def _installed_by(extra: str) -> set[str]:
@@ -70,15 +77,26 @@ def _run(extra: str, code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
 
 
-@pytest.mark.parametrize(("extra", "code"), [("edge", OF_A_WORKER), ("drone", OF_A_DRONE)])
+@pytest.mark.parametrize(
+    ("extra", "code"), [("edge", OF_A_WORKER), ("drone", OF_A_DRONE), ("sim", OF_A_SIMULATOR)]
+)
 def test_a_role_needs_no_package_of_another(extra: str, code: str):
-    """The worker opens its detector without onnx, the drone's commands load without torch."""
+    """The worker opens its detector without onnx, the drone's commands load without torch.
+
+    A simulated drone flies without either, and without any viewer.
+    """
     done = _run(extra, code)
     assert done.returncode == 0, done.stderr
 
 
 def test_the_wall_between_extras_holds():
     """A package of another role is not there in such a process."""
-    done = _run("drone", "import torch")
-    assert done.returncode != 0
-    assert "not of this extra" in done.stderr
+    for extra, other in (
+        ("drone", "torch"),
+        ("drone", "mujoco"),
+        ("sim", "torch"),
+        ("sim", "rerun"),
+    ):
+        done = _run(extra, f"import {other}")
+        assert done.returncode != 0
+        assert "not of this extra" in done.stderr
