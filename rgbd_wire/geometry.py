@@ -129,9 +129,10 @@ class Pose:
         if t.shape != (3,) or q.shape != (4,):
             raise GeometryError(f"a pose takes shapes (3,) and (4,), not {t.shape} and {q.shape}")
         # Plain floats: poses are made hundreds of times a second, and numpy's calls would cost most
-        if not all(map(math.isfinite, t.tolist() + q.tolist())):
+        wxyz = q.tolist()
+        if not all(map(math.isfinite, t.tolist() + wxyz)):
             raise GeometryError(f"a pose must be finite: translation {t}, q_wxyz {q}")
-        norm = math.hypot(*q.tolist())
+        norm = math.hypot(*wxyz)
         if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
             raise GeometryError(f"q_wxyz must have unit length, not {norm:.6g}")
         q = q / norm

@@ -219,25 +219,21 @@ def fly_all(jobs: Sequence[Job], processes: int) -> Iterator[FlightRow]:
     held, holding = context.Pipe(duplex=False)
     with (
         held,
-        holding,
         ProcessPoolExecutor(processes, context, initializer=_end_with, initargs=(held,)) as pool,
+        holding,  # closed first: the pool by itself would wait for the flights that are in the air
     ):
         futures: list[Future[FlightRow]] = [pool.submit(fly_job, job) for job in jobs]
         try:
             for future in as_completed(futures):
                 yield future.result()
-        except BaseException as error:
-            # The pool by itself would wait for the flights that are in the air
-            holding.close()
-            if isinstance(error, OSError | RuntimeError):
-                raise CampaignError(f"a process of the campaign died: {error}") from None
-            raise
+        except (OSError, RuntimeError) as error:
+            raise CampaignError(f"a process of the campaign died: {error}") from None
 
 
 def _end_with(held: Connection) -> None:
     """End this process, in mid-flight, as soon as the other end of a pipe is closed.
 
-    That is when the campaign is broken off, and when its process is killed.
+    That is when the campaign is over or broken off, and when its process is killed.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is the campaign's to take
 

@@ -70,7 +70,7 @@ class ByteLine(Protocol):
 class Lockstep:
     """The exchange with one peer."""
 
-    def __init__(self, line: ByteLine, settings: Patience, clock: Clock) -> None:
+    def __init__(self, line: ByteLine, patience: Patience, clock: Clock) -> None:
         self.counts: Counter[str] = Counter()
         """``asked``, ``answered``, ``unanswered``; controls that were no answer by their stamp:
         ``late`` (to an earlier question), ``stale`` (older than what is flown), ``ahead`` (to one
@@ -81,7 +81,7 @@ class Lockstep:
         self.wishes: list[Word] = []
         """What else was said since the last question."""
         self._line = line
-        self._settings = settings
+        self._patience = patience
         self._clock = clock
         self._heard_ns = clock.now_ns()
 
@@ -118,12 +118,12 @@ class Lockstep:
             answer = self._answer(t_us, received)
             if answer is None and not received and left_ns <= 0:
                 break
-            if answer is None and left_ns <= -round(self._settings.armed_s * 1e9):
+            if answer is None and left_ns <= -round(self._patience.armed_s * 1e9):
                 break  # it talks and talks, but does not answer
         return self._judged(answer)
 
     def _patience_s(self) -> float:
-        s = self._settings
+        s = self._patience
         if self.armed:
             return s.armed_s
         return s.first_s if self.counts["asked"] == 1 else s.idle_s
@@ -164,7 +164,7 @@ class Lockstep:
             return answer
         self.counts["unanswered"] += 1
         silent_s = (now_ns - self._heard_ns) / 1e9
-        s = self._settings
+        s = self._patience
         if silent_s >= (s.hung_s if self.armed else s.boot_s):
             raise HilError(self._silence(silent_s))
         return self.newest

@@ -59,7 +59,7 @@ class Session:
         scene: Scene,
         seed: int,
         settings: HilSettings,
-        lockstep: Patience,
+        patience: Patience,
         clock: Clock,
         airframe: Airframe | None = None,
         rig: RgbdCamera | None = None,
@@ -71,7 +71,7 @@ class Session:
             scene: with the drone on the ground.
             seed: of all that is drawn by chance.
             settings: what is sent.
-            lockstep: how long is waited.
+            patience: how long is waited.
             clock: the machine's.
             airframe: None: the usual one.
             rig: None: the usual one.
@@ -87,7 +87,7 @@ class Session:
             seed,
             SimulationSettings(rotors_from_outside=True),
         )
-        self.flight = HilFlight(simulation, Lockstep(line, lockstep, clock), seed, settings)
+        self.flight = HilFlight(simulation, Lockstep(line, patience, clock), seed, settings)
         self._witness = Witness(scene.world_from_target)
         self._clock = clock
         self._begun_ns = clock.now_ns()

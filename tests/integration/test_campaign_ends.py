@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,10 +17,10 @@ FLIGHTS = 200
 PATIENCE_S = 120.0
 
 
-def _campaign(out: Path, *options: str) -> subprocess.Popen[str]:
+def _campaign(out: Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "contact_sim", "campaign", "--flights", str(FLIGHTS)]
     return subprocess.Popen(
-        [*command, "--world", "tunnel", "--jobs", "2", "--out", str(out), *options],
+        [*command, "--world", "tunnel", "--jobs", "2", "--out", str(out)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -52,15 +53,23 @@ def _session(leader: int) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    "broken_off_by", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda s: s.name
+    ("send", "sign", "code"),
+    [
+        (os.kill, signal.SIGINT, 130),
+        (os.kill, signal.SIGTERM, 130),
+        (os.kill, signal.SIGKILL, -signal.SIGKILL),
+        (os.killpg, signal.SIGINT, 130),  # a Ctrl-C on a terminal reaches every process
+    ],
 )
-def test_nothing_flies_on(tmp_path: Path, broken_off_by: signal.Signals):
+def test_nothing_flies_on(
+    tmp_path: Path, send: Callable[[int, int], None], sign: signal.Signals, code: int
+):
     """Interrupted, ended or killed: its processes end in mid-flight, and its rows are whole."""
     campaign = _campaign(tmp_path)
     try:
         _first_row(tmp_path, campaign)
         assert len(_session(campaign.pid)) >= 3
-        os.kill(campaign.pid, broken_off_by)
+        send(campaign.pid, sign)
         said = campaign.communicate(timeout=PATIENCE_S)[0]
         give_up = time.monotonic() + PATIENCE_S
         while _session(campaign.pid):
@@ -69,23 +78,8 @@ def test_nothing_flies_on(tmp_path: Path, broken_off_by: signal.Signals):
     finally:
         for number in _session(campaign.pid):
             os.kill(number, signal.SIGKILL)
-    expected = -signal.SIGKILL if broken_off_by is signal.SIGKILL else 130
-    assert campaign.returncode == expected
+    assert campaign.returncode == code
     assert "Traceback" not in said
     rows = read_table(tmp_path / "flights.csv")
     assert 1 <= len(rows) < FLIGHTS / 10
     assert not any(row.error for row in rows)
-
-
-def test_a_ctrl_c_on_a_terminal_reaches_every_process(tmp_path: Path):
-    """Then, too, it is the campaign that ends it, without a traceback of any process."""
-    campaign = _campaign(tmp_path)
-    try:
-        _first_row(tmp_path, campaign)
-        os.killpg(campaign.pid, signal.SIGINT)
-        said = campaign.communicate(timeout=PATIENCE_S)[0]
-    finally:
-        for number in _session(campaign.pid):
-            os.kill(number, signal.SIGKILL)
-    assert campaign.returncode == 130
-    assert "Traceback" not in said
