@@ -41,9 +41,13 @@ class TunnelDrone:
 
     def wait_for(self, condition):
         """Wait until ``condition(self)`` holds."""
-        with self._changed:
-            met = self._changed.wait_for(lambda: condition(self), TIMEOUT_S)
+        met = self.waits_for(condition, TIMEOUT_S)
         assert met, f"workers {self.link.workers()}, received {self.received}"
+
+    def waits_for(self, condition, timeout_s):
+        """Whether ``condition(self)`` holds before the time is over."""
+        with self._changed:
+            return self._changed.wait_for(lambda: condition(self), timeout_s)
 
     def of(self, kind):
         """All messages of a type, in order."""
