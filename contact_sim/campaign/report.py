@@ -39,6 +39,7 @@ def summary(rows: Sequence[FlightRow]) -> dict[str, Any]:
         "first_attempt": sum(row.attempts == 1 for row in contacts),
         "retreat": sum(row.ends == "retreat" for row in flown),
         "stands": sum(row.ends == "stands" for row in flown),
+        "back_to_m": min((row.end_m for row in flown if row.ends == "retreat"), default=None),
         "touches": sum(row.ends == "touches" for row in flown),
         "safe": sum(row.safe for row in flown),
         "collided": sum(bool(row.collisions) for row in flown),
@@ -134,18 +135,20 @@ def _faults(faults: dict[tuple[str, str, str], dict[str, Any]]) -> list[str]:
         "## With a fault in the approach",
         "",
         "Each strikes once, at a random distance from the board. *Contact*: touched and back all "
-        "the same. *Retreat*: back without. *Stands*: given back where it stood, clear of the "
-        "board. *On the board*: given back while it touches.",
+        "the same. *Retreat*: back without, *to* at least so far from the board. *Stands*: given "
+        "back nearer than half the stand-off distance, clear of the board. *On the board*: given "
+        "back while it touches.",
         "",
-        "| world | fault | flights | contact | retreat | stands | on the board | touched anything "
-        "else | push outside the mouth | deepest [mm] | force [N], p50 / p95 / max |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |",
+        "| world | fault | flights | contact | retreat | to [m] | stands | on the board | touched "
+        "anything else | push outside the mouth | deepest [mm] | force [N], p50 / p95 / max |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |",
     ]
     for (world, fault, _), s in faults.items():
         force = _cell(s["peak_force_n"], ".2f")
+        back = "-" if s["back_to_m"] is None else f"{s['back_to_m']:.2f}"
         lines.append(
             f"| {world} | {fault.replace('_', ' ')} | {s['flights']} | {s['contact']} | "
-            f"{s['retreat']} | {s['stands']} | {s['touches']} | {s['collided']} | {s['outside']} | "
+            f"{s['retreat']} | {back} | {s['stands']} | {s['touches']} | {s['collided']} | {s['outside']} | "
             f"{s['outside_mm']:.1f} | {force} |"
         )
     return [*lines, ""]

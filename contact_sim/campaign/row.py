@@ -9,8 +9,9 @@ from contact_sim.campaign.faults import Striker
 from contact_sim.lockstep.flight import Flown
 from drone_client.mission import Phase
 
-AWAY_M: Final = 0.8
-"""A tip that is further from the board has come back from it."""
+AWAY_M: Final = 0.5
+"""A tip that is further from the board has come back from it: half the way to the stand-off point,
+for a drone whose odometry has fallen silent goes back by its IMU, and drifts."""
 
 
 @dataclass(frozen=True, slots=True)

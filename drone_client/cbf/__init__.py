@@ -13,7 +13,7 @@ from drone_client.cbf.funnel import Funnel
 from drone_client.cbf.half_space import HalfSpace, build
 from drone_client.cbf.keep_out import BodyPart, KeepOut, PlaneFrame, Stance, gaps_m, half_spaces
 from drone_client.cbf.keep_out_table import keep_outs_from
-from drone_client.cbf.limits import alpha, closing_limit_mps
+from drone_client.cbf.limits import alpha, closing_limit_mps, limit_outside_mps
 from drone_client.cbf.next_step import Hold, checked
 from drone_client.cbf.settings import FilterSettings
 from drone_client.cbf.solve import Solution, solve
@@ -50,6 +50,7 @@ __all__ = [
     "gaps_m",
     "half_spaces",
     "keep_outs_from",
+    "limit_outside_mps",
     "paper_funnel",
     "solve",
     "solve_several",

@@ -22,7 +22,7 @@ from drone_client.cbf.keep_out import (
     half_spaces,
     is_rotation,
 )
-from drone_client.cbf.limits import alpha, closing_limit_mps
+from drone_client.cbf.limits import alpha, closing_limit_mps, limit_outside_mps
 from drone_client.cbf.next_step import Hold, checked
 from drone_client.cbf.settings import FilterSettings
 from drone_client.cbf.solve import Solution, solve
@@ -170,7 +170,8 @@ def _at_yaw_rate(yaw_rate: float, funnel: HalfSpace, tick: _Tick) -> Solution:
     nominal = _slowed(inp.velocity_tip_nominal_target, limit)
     kept_out = None
     if inp.keep_outs:
-        planes, closing = _keep_outs(tick, yaw_rate), _closing(limit)
+        # Backing off is a wish: there may be a second wall behind the drone
+        planes, closing = _keep_outs(tick, yaw_rate), _closing(max(limit, 0.0))
         tip_velocity, status = solve_several(nominal, planes, (closing, funnel), v_max)
 
         def kept_out(retreat: Vec3) -> Vec3:
@@ -212,18 +213,22 @@ def _closing(limit_mps: float) -> HalfSpace:
 
 
 def _closing_limit_mps(tick: _Tick) -> float:
-    """How fast the tip may close in now [m/s]: not at all where knowledge is old."""
+    """How fast the tip may close in now [m/s]: not on old knowledge, nor outside the funnel."""
     if tick.phase is not Freshness.FRESH:
         return 0.0
     hold, settings = tick.hold, tick.settings
     nearest = hold.p_target[0] - hold.delta_m
-    return closing_limit_mps(
+    limit = closing_limit_mps(
         nearest,
         settings.touch_mps,
         settings.brake_mps2,
         settings.depth_max_m,
         settings.command_lag_s,
     )
+    if settings.variant is not Variant.SMOOTH:  # shown as the paper has it
+        return limit
+    h_robust = hold.barrier.h(hold.p_target, hold.delta_m)
+    return limit_outside_mps(limit, nearest, h_robust, settings)
 
 
 def _slowed(nominal: Vec3, limit_mps: float) -> Vec3:

@@ -1,4 +1,4 @@
-"""Two functions of the tip's place: how fast it may close in, and how soon h may be used up."""
+"""How fast the tip may close in, by its place and by h, and how soon h may be used up."""
 
 from __future__ import annotations
 
@@ -23,6 +23,28 @@ def closing_limit_mps(
     if x_m >= 0.0:
         return max(0.0, math.sqrt(touch_mps * touch_mps + 2.0 * brake_mps2 * x_m) - late_mps)
     return max(0.0, touch_mps - late_mps) * max(0.0, 1.0 + x_m / depth_m)
+
+
+def limit_outside_mps(
+    limit_mps: float, nearest_m: float, h_robust_m: float, settings: FilterSettings
+) -> float:
+    """The closing limit [m/s] for a tip that may be outside the funnel; negative: it backs off.
+
+    The barrier alone asks of a tip outside that h grows, and lets a sideways way back pay for an
+    approach. Near the board the board comes first: ``outside_m`` below zero the tip does not go
+    on, and as much again, within ``clear_m`` of the board, it backs off at ``retreat_mps``.
+
+    Args:
+        limit_mps: of a tip inside, at least zero.
+        nearest_m: distance from the board that the tip has at least.
+        h_robust_m: barrier that it has at least.
+        settings: of the filter.
+    """
+    share = min(max(1.0 + h_robust_m / settings.outside_m, -1.0), 1.0)
+    if share >= 0.0:
+        return share * limit_mps
+    near = min(max(1.0 - nearest_m / settings.clear_m, 0.0), 1.0)
+    return share * near * min(settings.retreat_mps, settings.v_max_mps)
 
 
 def alpha(p_target: Vec3, settings: FilterSettings) -> float:

@@ -17,6 +17,8 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "brake_mps2": (0.05, 3.0),
     "lag_s": (0.0, 1.0),
     "depth_max_m": (0.02, 0.1),
+    "outside_m": (0.001, 1.0),
+    "clear_m": (0.001, 0.5),
     "alpha_near": (0.1, 5.0),
     "alpha_far": (0.1, 5.0),
     "near_m": (0.1, 5.0),
@@ -62,6 +64,10 @@ class FilterSettings:
     earlier."""
     depth_max_m: float = 0.04
     """How far the unloaded tip may go behind the board's plane: what the arm can give way."""
+    outside_m: float = 0.05
+    """So far below zero the robust barrier lets the tip close in no more; it is slower before."""
+    clear_m: float = 0.05
+    """Nearer than this a tip that is outside backs off."""
 
     alpha_near: float = 1.2
     """Class-K gain [1/s] within ``near_m`` of the target."""

@@ -214,6 +214,28 @@ def test_whatever_comes_in_a_command_within_the_limits_comes_out(inp, settings) 
     assert_within_limits(filter_command(inp, settings), settings)
 
 
+@given(
+    st.floats(0.0, 0.5),
+    st.floats(0.03, 0.3),
+    st.floats(0.0, math.tau),
+    st.tuples(*[st.floats(-1, 1)] * 3),
+)
+def test_beside_the_mouth_nothing_pays_for_an_approach(x, beside, around, wish) -> None:
+    """Outside the funnel the tip does not close in, and near the board it leaves it."""
+    place = (x, beside * math.cos(around), beside * math.sin(around))
+    # The guidance never asks for more across than the vehicle may fly
+    across = max(1.0, math.hypot(wish[1], wish[2]) / 0.3)
+    wish = (wish[0], wish[1] / across, wish[2] / across)
+    inp = change(tip_target=place, velocity_tip_nominal_target=wish, range_m=max(x, 0.3))
+    command = filter_command(inp, SETTINGS)
+    outside = command.h_robust <= -SETTINGS.outside_m
+    closing = -tip_velocity(inp, command)[0]
+    if outside:
+        assert closing <= 1e-12
+    if command.h_robust <= -2.0 * SETTINGS.outside_m and x <= command.delta_m:
+        assert closing <= -0.5 * SETTINGS.retreat_mps
+
+
 def test_a_hundred_thousand_random_states_get_a_safe_command() -> None:
     """Each is within the limits, meets the next-step condition and closes in slowly enough."""
     rng = np.random.default_rng(7)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drone_client.cbf import FilterSettings, alpha, closing_limit_mps
+from drone_client.cbf import FilterSettings, alpha, closing_limit_mps, limit_outside_mps
 
 SETTINGS = FilterSettings()
 
@@ -36,6 +36,28 @@ def test_constant_braking_follows_the_profile(x) -> None:
     v0, touch, brake = closing_limit_mps(x, 0.08, 0.3, 0.04), 0.08, 0.3
     seconds = (v0 - touch) / brake
     assert v0 * seconds - 0.5 * brake * seconds**2 == pytest.approx(x, rel=1e-9)
+
+
+@given(st.floats(0, 0.5), st.floats(-1, 3), st.floats(-2, 2))
+def test_outside_the_funnel_the_limit_only_falls(limit, nearest, h) -> None:
+    """Inside it is untouched; ``outside_m`` outside nothing is left; then it is a retreat's."""
+    limited = limit_outside_mps(limit, nearest, h, SETTINGS)
+    assert -SETTINGS.retreat_mps <= limited <= limit
+    if h >= 0.0:
+        assert limited == limit
+    if h <= -SETTINGS.outside_m:
+        assert limited <= 0.0
+        if nearest >= SETTINGS.clear_m:
+            assert limited == 0.0
+    further = limit_outside_mps(limit, nearest, h - 0.01, SETTINGS)
+    assert further <= limited + 1e-15
+
+
+def test_far_outside_and_at_the_board_it_backs_off_like_a_retreat() -> None:
+    """And never faster than the vehicle may fly."""
+    assert limit_outside_mps(0.1, 0.0, -1.0, SETTINGS) == -SETTINGS.retreat_mps
+    slow = FilterSettings(v_max_mps=0.1)
+    assert limit_outside_mps(0.1, 0.0, -1.0, slow) == -0.1
 
 
 def test_a_tip_at_the_limit_never_passes_full_depth() -> None:
