@@ -148,8 +148,8 @@ def _faults(faults: dict[tuple[str, str, str], dict[str, Any]]) -> list[str]:
         back = "-" if s["back_to_m"] is None else f"{s['back_to_m']:.2f}"
         lines.append(
             f"| {world} | {fault.replace('_', ' ')} | {s['flights']} | {s['contact']} | "
-            f"{s['retreat']} | {back} | {s['stands']} | {s['touches']} | {s['collided']} | {s['outside']} | "
-            f"{s['outside_mm']:.1f} | {force} |"
+            f"{s['retreat']} | {back} | {s['stands']} | {s['touches']} | {s['collided']} | "
+            f"{s['outside']} | {s['outside_mm']:.1f} | {force} |"
         )
     return [*lines, ""]
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rgbd_wire.camera import CameraIntrinsics
 from target_pose.candidate import Box, Detections
-from target_pose.nesting import MAX_BOXES, SHADES_WEIGHT, group, nests
+from target_pose.nesting import LOOSE_SIZE_SLACK, MAX_BOXES, SHADES_WEIGHT, group, nests
 from target_pose.points import BoardPoint, PointPx
 from target_pose.target import Disc, Level, Shade, Target, load_target
 from tests.unit.target_pose.render import Look, facing_pose, render_color, true_box
@@ -119,6 +119,14 @@ def test_size_and_place_are_bounded_on_both_sides(side, shift, fits):
     assert nests(outer, inner, (2.0, 2.0), (1000, 1000)) == fits
 
 
+@pytest.mark.parametrize(("side", "fits"), [(160, False), (170, True), (300, False)])
+def test_a_loose_box_may_be_too_small_alone(side, fits):
+    """Not too large: what hides a part of a shape does not make it larger."""
+    inner, half = Box(450, 450, 550, 550, 0.9), side / 2
+    outer = Box(500 - half, 500 - half, 500 + half, 500 + half, 0.9)
+    assert nests(outer, inner, (2.0, 2.0), (1000, 1000), LOOSE_SIZE_SLACK) == fits
+
+
 @pytest.mark.parametrize("missing", list(Level))
 def test_a_level_may_be_missing(missing):
     """Two levels of three make a target."""
@@ -208,6 +216,50 @@ def test_a_box_of_the_wrong_size_or_place_is_left_out(level, factor, shift):
     wrong = {**boxes, level: Box(u - w / 2, v - h / 2, u + w / 2, v + h / 2, 0.9)}
     (found,) = group(_detections(wrong), TARGET, picture)
     assert found.boxes == {k: b for k, b in boxes.items() if k is not level}
+
+
+def _touched(disc=0.86, arm_px=6):
+    """Boxes and picture of a board whose middle an arm is about to touch, as the net draws them.
+
+    The disc's box is too small to fit the inner disc's; the scores are those of a flight.
+    """
+    boxes, picture = _head_on()
+    half = 45 * disc
+    boxes[Level.BETTER] = Box(160 - half, 120 - half, 160 + half, 120 + half, 0.82)
+    boxes[Level.GOOD] = dataclasses.replace(boxes[Level.GOOD], score=0.74)
+    boxes[Level.BEST] = dataclasses.replace(boxes[Level.BEST], score=0.78)
+    foot = [(160 + arm_px, 239), (160 - arm_px, 239)]
+    cv2.fillPoly(picture, [np.array([(158, 120), (162, 120), *foot])], (15, 15, 15))
+    cv2.circle(picture, (160, 120), 4, (8, 8, 8), -1)
+    return boxes, picture
+
+
+def test_a_board_is_found_while_an_arm_touches_its_middle():
+    """The box that the arm has spoilt counts in the score, and is left out of the candidate."""
+    boxes, picture = _touched()
+    (found,) = group(_detections(boxes), TARGET, picture)
+    assert found.boxes == {k: b for k, b in boxes.items() if k is not Level.BETTER}
+    net = (0.74 + 0.82 + 0.78) / 3
+    assert found.score == pytest.approx((net + SHADES_WEIGHT) / (1 + SHADES_WEIGHT), abs=0.03)
+
+
+def test_a_spoilt_box_needs_rings_of_the_right_shades():
+    """On four rays of five, where three boxes that fit need every other one."""
+    boxes, picture = _touched()
+    assert group(_detections(boxes), TARGET, 255 - picture) == ()
+    assert group(_detections(boxes), TARGET, np.full_like(picture, 128)) == ()
+    boxes, half_hidden = _touched(arm_px=110)
+    fitting = {**boxes, Level.BETTER: dataclasses.replace(_head_on()[0][Level.BETTER], score=0.82)}
+    assert len(group(_detections(fitting), TARGET, half_hidden)) == 1
+    assert group(_detections(boxes), TARGET, half_hidden) == ()
+
+
+def test_a_box_that_is_much_too_small_speaks_for_nothing():
+    """Nor does one that is not there: the two others are too doubtful alone."""
+    boxes, picture = _touched(disc=0.7)
+    assert group(_detections(boxes), TARGET, picture) == ()
+    del boxes[Level.BETTER]
+    assert group(_detections(boxes), TARGET, picture) == ()
 
 
 def test_a_flat_gray_picture_holds_no_target():
