@@ -15,8 +15,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from contact_sim.campaign.faults import USUAL, Fault, load_faults
 from contact_sim.campaign.report import by_group, page, summary
-from contact_sim.campaign.row import FlightRow
-from contact_sim.campaign.run import ABLATIONS, Table, fly_campaign, plan
+from contact_sim.campaign.row import Flight, FlightRow
+from contact_sim.campaign.run import ABLATIONS, WHOLE, Table, fly_campaign, plan
 from contact_sim.errors import CampaignError
 from contact_sim.flight.service import ServiceProcess
 from contact_sim.scene import WORLDS
@@ -26,6 +26,8 @@ from link_emulator.profiles import PROFILES, profile
 USUAL_FAULTS = "usual"
 TABLE_NAME = "flights.csv"
 PAGE_NAME = "flights.md"
+_ELSEWHERE = frozenset({"out", "connect", "jobs", "resume", "write", "as_json"})
+"""Options that do not change what is flown."""
 
 
 class EyesName(StrEnum):
@@ -36,6 +38,7 @@ class EyesName(StrEnum):
 
 
 def campaign(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="folder for flights.csv and flights.md")] = Path(
         "runs/campaign"
     ),
@@ -63,7 +66,7 @@ def campaign(
         ),
     ] = None,
     ablations: Annotated[
-        bool, typer.Option("--ablations", help="also fly without each part of the contract")
+        bool, typer.Option("--ablations", help="all of it also without each part of the contract")
     ] = False,
     plain: Annotated[
         bool, typer.Option("--plain/--no-plain", help="fly without faults, too")
@@ -85,7 +88,7 @@ def campaign(
     seed, and always the same for that seed. A row a flight goes to flights.csv as it ends.
 
     Exit code 0: every flight was safe: nothing but the tip touched anything, and not beside the
-    mouth. 3: some were not, or could not be flown.
+    mouth. 3: some were not, or could not be flown. What flies without a part does not count.
 
     Example: python -m contact_sim campaign --flights 100 --faults usual --out runs/faults
     """
@@ -101,7 +104,7 @@ def campaign(
         if eyes is EyesName.SERVICE and connect is None:
             console.print("starting a service", highlight=False)
             endpoint = stack.enter_context(ServiceProcess(out)).endpoint
-        chosen = ABLATIONS[1:] if ablations else ()
+        chosen = ABLATIONS if ablations else ()
         jobs_planned = plan(worlds, seeds, kinds, chosen, board, link, endpoint)
         table = Table(out / TABLE_NAME, goes_on=resume)
         stack.callback(table.close)
@@ -114,8 +117,8 @@ def campaign(
         )
         with bar:
             task = bar.add_task("flights", total=len(jobs_planned))
-            done = {row.key for row in table.rows if not row.error}
-            bar.advance(task, sum(job.key in done for job in jobs_planned))
+            done = {row.flight for row in table.rows if not row.error}
+            bar.advance(task, sum(job.flight in done for job in jobs_planned))
 
             def on_row(row: FlightRow) -> None:
                 bar.advance(task)
@@ -128,8 +131,8 @@ def campaign(
                     )
 
             fly_campaign(jobs_planned, table, processes, on_row)
-        rows = _in_order(table.rows, [job.key for job in jobs_planned])
-    _write_page(rows, out, write, _command(flights, eyes, link, faults, ablations), eyes, link)
+        rows = _in_order(table.rows, [job.flight for job in jobs_planned])
+    _write_page(rows, out, write, _command(context), eyes, link)
     groups = {" / ".join(key): summary(of) for key, of in by_group(rows).items()}
     if as_json:
         print(json.dumps(groups, indent=2))
@@ -137,7 +140,7 @@ def campaign(
         for key, s in groups.items():
             print(f"{key}: {_line(s)}")
         print(f"table {out / TABLE_NAME}, page {out / PAGE_NAME}")
-    if not all(row.safe for row in rows):
+    if not all(row.safe for row in rows if row.ablation == WHOLE or row.error):
         raise typer.Exit(3)
 
 
@@ -165,17 +168,26 @@ def _faults(text: str) -> tuple[Fault, ...]:
     return USUAL if text == USUAL_FAULTS else load_faults(Path(text))
 
 
-def _in_order(rows: list[FlightRow], keys: list[tuple[str, int, str, str]]) -> list[FlightRow]:
+def _in_order(rows: list[FlightRow], keys: list[Flight]) -> list[FlightRow]:
     """As they were planned; of a flight that was flown twice the last row."""
-    newest = {row.key: row for row in rows}
+    newest = {row.flight: row for row in rows}
     return [newest[key] for key in keys if key in newest]
 
 
-def _command(flights: int, eyes: EyesName, link: str, faults: str | None, ablations: bool) -> str:
-    words = ["python -m contact_sim campaign", f"--flights {flights}", f"--eyes {eyes.value}"]
-    words.append(f"--link {link}")
-    words += [] if faults is None else [f"--faults {faults}"]
-    words += ["--ablations"] if ablations else []
+def _command(context: typer.Context) -> str:
+    """The command line that flies the same again, without what only says where and how."""
+    words = ["python -m contact_sim campaign"]
+    for option in context.command.params:
+        value, name = context.params[option.name or ""], option.opts[0]
+        source = context.get_parameter_source(option.name or "")
+        if source is None or source.name != "COMMANDLINE" or option.name in _ELSEWHERE:
+            continue
+        if value is True:
+            words.append(name)
+        elif value is False:
+            words += option.secondary_opts[:1]
+        else:
+            words += [f"{name} {v}" for v in (value if isinstance(value, list) else [value])]
     return " ".join(words)
 
 

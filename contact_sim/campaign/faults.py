@@ -30,6 +30,8 @@ class Kind(StrEnum):
     """It takes frames and acknowledges them, and answers none."""
     BLACK_HOLE = "black_hole"
     """Nothing passes the link, in either direction."""
+    LINK_SLOW = "link_slow"
+    """Both directions take longer."""
     VIO_JUMPS = "vio_jumps"
     """The odometry's world moves."""
     VIO_OUT = "vio_out"
@@ -57,7 +59,7 @@ class Fault:
     for_s: float = math.inf
     """Then it is over."""
     size: float = 0.3
-    """vio_jumps: metres; gust: ten times metres per second."""
+    """vio_jumps: metres; gust: ten times metres per second; link_slow: seconds each way."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.nearest_m <= self.farthest_m <= 10.0:
@@ -77,6 +79,7 @@ USUAL: Final = (
     Fault(Kind.WORKER_HANGS),
     Fault(Kind.BLACK_HOLE),
     Fault(Kind.BLACK_HOLE, for_s=1.0),
+    Fault(Kind.LINK_SLOW, for_s=6.0, size=0.2),
     Fault(Kind.VIO_JUMPS),
     Fault(Kind.VIO_OUT),
     Fault(Kind.LAMP_OUT),
@@ -133,6 +136,8 @@ class Striker:
                 flight.worker.clock_step_ns = CLOCK_STEP_NS if on else 0
             case Kind.BLACK_HOLE:
                 flight.link.cut(cut=on)
+            case Kind.LINK_SLOW:
+                flight.link.slow(self._fault.size if on else 0.0)
             case Kind.CAMERA_FROZEN:
                 flight.frozen = on
             case _:

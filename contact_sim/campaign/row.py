@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from contact_sim.campaign.faults import Striker
 from contact_sim.lockstep.flight import Flown
@@ -14,12 +15,28 @@ AWAY_M: Final = 0.5
 for a drone whose odometry has fallen silent goes back by its IMU, and drifts."""
 
 
+class Flight(NamedTuple):
+    """What a flight is flown with; tells it from the others of a campaign."""
+
+    world: str
+    seed: int
+    board: str
+    link: str
+    eyes: str
+    fault: str
+    ablation: str
+
+
 @dataclass(frozen=True, slots=True)
 class FlightRow:
     """What one flight came to; lengths in metres, an empty cell where there is nothing to say."""
 
     world: str
     seed: int
+    board: str
+    link: str
+    eyes: str
+    """model or service."""
     fault: str
     ablation: str
     phase: str
@@ -34,6 +51,8 @@ class FlightRow:
     offset_m: float | None
     touch_left_m: float | None
     touch_up_m: float | None
+    touch_age_s: float | None
+    """How old the newest measurement was as it touched."""
     closing_mps: float | None
     peak_force_n: float
     press_force_n: float | None
@@ -55,9 +74,11 @@ class FlightRow:
     """Why there was no flight, or no end of one."""
 
     @property
-    def key(self) -> tuple[str, int, str, str]:
-        """What tells it from the others of a campaign; as ``Job.key``."""
-        return self.world, self.seed, self.fault, self.ablation
+    def flight(self) -> Flight:
+        """What it was flown with; as ``Job.flight``."""
+        return Flight(
+            self.world, self.seed, self.board, self.link, self.eyes, self.fault, self.ablation
+        )
 
     @property
     def safe(self) -> bool:
@@ -68,15 +89,7 @@ class FlightRow:
 NAMES: Final = tuple(field.name for field in fields(FlightRow))
 
 
-def flight_row(
-    world: str,
-    seed: int,
-    fault: str,
-    ablation: str,
-    flown: Flown,
-    striker: Striker | None,
-    wall_s: float,
-) -> FlightRow:
+def flight_row(flight: Flight, flown: Flown, striker: Striker | None, wall_s: float) -> FlightRow:
     """The row of a flight."""
     o = flown.outcome
     left, up = (None, None) if o.touch_target_m is None else o.touch_target_m
@@ -88,10 +101,7 @@ def flight_row(
         ends = "stands" if o.end_m > 0.0 else "touches"
     accepted = flown.verdicts.get("accepted", 0)
     return FlightRow(
-        world=world,
-        seed=seed,
-        fault=fault,
-        ablation=ablation,
+        *flight,
         phase=flown.phase.value,
         reason=flown.reason.value,
         ends=ends,
@@ -101,6 +111,7 @@ def flight_row(
         offset_m=o.offset_m,
         touch_left_m=left,
         touch_up_m=up,
+        touch_age_s=_age_s(flown, o.touched_ns),
         closing_mps=o.closing_mps,
         peak_force_n=o.peak_force_n,
         press_force_n=o.press_force_n,
@@ -116,6 +127,49 @@ def flight_row(
         accepted=accepted,
         gated=sum(flown.verdicts.values()) - accepted,
         wall_s=wall_s,
+    )
+
+
+def _age_s(flown: Flown, t_ns: int | None) -> float | None:
+    """Age of what the client knew at its last tick before a time."""
+    if t_ns is None:
+        return None
+    tick = next((tick for tick in reversed(flown.ticks) if tick.t_ns <= t_ns), None)
+    if tick is None or tick.decision.age_ns is None:
+        return None
+    return (tick.decision.age_ns + t_ns - tick.t_ns) / 1e9
+
+
+def failed_row(flight: Flight, why: str, wall_s: float) -> FlightRow:
+    """The row of a flight that could not be flown."""
+    return FlightRow(
+        *flight,
+        phase="",
+        reason="",
+        ends="failed",
+        attempts=0,
+        struck_m=None,
+        touched=False,
+        offset_m=None,
+        touch_left_m=None,
+        touch_up_m=None,
+        touch_age_s=None,
+        closing_mps=None,
+        peak_force_n=0.0,
+        press_force_n=None,
+        pressed_s=0.0,
+        outside_m=0.0,
+        collisions="",
+        nearest_m=math.nan,
+        end_m=math.nan,
+        flown_s=0.0,
+        drift_m=math.nan,
+        found=0,
+        frames=0,
+        accepted=0,
+        gated=0,
+        wall_s=wall_s,
+        error=" ".join(why.split())[:300],
     )
 
 

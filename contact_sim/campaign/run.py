@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 import multiprocessing
 import os
 import signal
@@ -18,7 +17,15 @@ from pathlib import Path
 from typing import Final
 
 from contact_sim.campaign.faults import Fault, Striker, fault_name
-from contact_sim.campaign.row import NAMES, FlightRow, as_cells, flight_row, from_cells
+from contact_sim.campaign.row import (
+    NAMES,
+    Flight,
+    FlightRow,
+    as_cells,
+    failed_row,
+    flight_row,
+    from_cells,
+)
 from contact_sim.chance import stream
 from contact_sim.errors import CampaignError, ServiceError, SimulatorError
 from contact_sim.lockstep.eyes import Eyes, ModelEyes
@@ -26,10 +33,16 @@ from contact_sim.lockstep.flight import LockstepFlight, LockstepSettings
 from contact_sim.lockstep.service_eyes import ServiceEyes
 from contact_sim.scene import build_scene
 from contact_sim.sensing import d455
+from drone_client.cbf import FilterSettings
 from link_emulator.profiles import profile
 
-ABLATIONS: Final = ("none", "composes_now", "no_gate", "no_funnel")
-"""What is left out: capture-time composition, the delay gate, the funnel."""
+WHOLE: Final = "none"
+"""Nothing is left out."""
+ABLATIONS: Final = ("composes_now", "no_gate", "no_age", "no_funnel")
+"""What is left out: capture-time composition, the delay gate, gate and age of what is known, the
+funnel."""
+NO_AGE_NS: Final = 2_000_000_000
+"""Knowledge so old is good enough: the most that the filter takes."""
 NO_FUNNEL_M: Final = 0.5
 """A mouth so wide that it is none: the largest that the funnel takes."""
 
@@ -43,14 +56,23 @@ class Job:
     board: str
     link: str
     fault: Fault | None = None
-    ablation: str = "none"
+    ablation: str = WHOLE
     endpoint: str | None = None
     """Of the service whose eyes look; None: the model's."""
 
     @property
-    def key(self) -> tuple[str, int, str, str]:
+    def flight(self) -> Flight:
         """What tells it from the others of a campaign."""
-        return self.world, self.seed, fault_name(self.fault), self.ablation
+        eyes = "model" if self.endpoint is None else "service"
+        return Flight(
+            self.world,
+            self.seed,
+            self.board,
+            self.link,
+            eyes,
+            fault_name(self.fault),
+            self.ablation,
+        )
 
 
 def ablated(settings: LockstepSettings, ablation: str) -> LockstepSettings:
@@ -59,20 +81,28 @@ def ablated(settings: LockstepSettings, ablation: str) -> LockstepSettings:
     Raises:
         CampaignError: there is no such part.
     """
+    limits = settings.parts.control.filter
     match ablation:
-        case "none":
+        case _ if ablation == WHOLE:
             return settings
         case "composes_now":
             return replace(settings, composes_now=True)
         case "no_gate":
             return replace(settings, gates=False)
+        case "no_age":
+            late = limits.with_age_max(NO_AGE_NS)
+            return _filtered(replace(settings, gates=False), replace(late, drift_mps=0.0))
         case "no_funnel":
-            limits = settings.parts.control.filter
-            wide = replace(limits, funnel=replace(limits.funnel, r_c_m=NO_FUNNEL_M))
-            control = replace(settings.parts.control, filter=wide)
-            return replace(settings, parts=replace(settings.parts, control=control))
+            return _filtered(
+                settings, replace(limits, funnel=replace(limits.funnel, r_c_m=NO_FUNNEL_M))
+            )
         case _:
             raise CampaignError(f"no ablation {ablation!r}; there are: {', '.join(ABLATIONS)}")
+
+
+def _filtered(settings: LockstepSettings, limits: FilterSettings) -> LockstepSettings:
+    control = replace(settings.parts.control, filter=limits)
+    return replace(settings, parts=replace(settings.parts, control=control))
 
 
 def fly_job(job: Job) -> FlightRow:
@@ -96,47 +126,12 @@ def fly_job(job: Job) -> FlightRow:
         striker = None if job.fault is None else Striker(job.fault, job.seed)
         flown = flight.fly(striker or (lambda flight: None))
         wall_s = time.monotonic() - began
-        name = fault_name(job.fault)
-        return flight_row(job.world, job.seed, name, job.ablation, flown, striker, wall_s)
+        return flight_row(job.flight, flown, striker, wall_s)
     except SimulatorError as error:
-        return _failed(job, str(error), time.monotonic() - began)
+        return failed_row(job.flight, str(error), time.monotonic() - began)
     finally:
         if eyes is not None:
             eyes.close()
-
-
-def _failed(job: Job, why: str, wall_s: float) -> FlightRow:
-    return FlightRow(
-        job.world,
-        job.seed,
-        fault_name(job.fault),
-        job.ablation,
-        phase="",
-        reason="",
-        ends="failed",
-        attempts=0,
-        struck_m=None,
-        touched=False,
-        offset_m=None,
-        touch_left_m=None,
-        touch_up_m=None,
-        closing_mps=None,
-        peak_force_n=0.0,
-        press_force_n=None,
-        pressed_s=0.0,
-        outside_m=0.0,
-        collisions="",
-        nearest_m=math.nan,
-        end_m=math.nan,
-        flown_s=0.0,
-        drift_m=math.nan,
-        found=0,
-        frames=0,
-        accepted=0,
-        gated=0,
-        wall_s=wall_s,
-        error=" ".join(why.split())[:300],
-    )
 
 
 class Table:
@@ -254,25 +249,20 @@ def plan(
     link: str,
     endpoint: str | None,
 ) -> list[Job]:
-    """Every flight of a campaign; faults and ablations are not crossed with one another.
+    """Every flight of a campaign: each ablation with every fault, too.
 
     Raises:
         CampaignError: there is no such ablation.
     """
-    jobs = [
-        Job(world, seed, board, link, fault, "none", endpoint)
+    for ablation in ablations:
+        ablated(LockstepSettings(), ablation)
+    return [
+        Job(world, seed, board, link, fault, ablation, endpoint)
+        for ablation in (WHOLE, *ablations)
         for world in worlds
         for fault in faults
         for seed in seeds
     ]
-    for ablation in ablations:
-        ablated(LockstepSettings(), ablation)
-        jobs += [
-            Job(world, seed, board, link, None, ablation, endpoint)
-            for world in worlds
-            for seed in seeds
-        ]
-    return jobs
 
 
 def fly_campaign(
@@ -287,8 +277,8 @@ def fly_campaign(
         CampaignError: the table cannot be written any more, or a process died.
         ServiceError: no flight at all could be flown with the service.
     """
-    done = {row.key for row in table.rows if not row.error}
-    left = [job for job in jobs if job.key not in done]
+    done = {row.flight for row in table.rows if not row.error}
+    left = [job for job in jobs if job.flight not in done]
     failed = 0
     for row in fly_all(left, processes):
         table.add(row)

@@ -50,6 +50,8 @@ class Outcome:
     """Where it touched first, from the centre of the print."""
     touch_target_m: tuple[float, float] | None
     """The same, left and up."""
+    touched_ns: int | None
+    """When: simulated time."""
     closing_mps: float | None
     """Worst speed of the tip along the normal, as it met the board."""
     peak_force_n: float
@@ -81,6 +83,7 @@ class Witness:
         self.rows: list[Row] = []
         self._target_from_world = world_from_target.inverse()
         self._touch: Array | None = None
+        self._touched_ns: int | None = None
         self._forces: list[float] = []
         self._outside_m = 0.0
         self._collisions: dict[str, None] = {}
@@ -108,7 +111,7 @@ class Witness:
             self._collisions.setdefault(f"{touch.part} on {touch.other}")
         if truth.tip_force_n > 0.0:
             if self._touch is None and any(t.other == BOARD for t in truth.touches):
-                self._touch = tip_target
+                self._touch, self._touched_ns = tip_target, simulation.t_ns
             self._forces.append(truth.tip_force_n)
             self._touching_turns += 1
         if due:
@@ -152,6 +155,7 @@ class Witness:
             touched=touch is not None,
             offset_m=None if touch is None else math.hypot(touch[1], touch[2]),
             touch_target_m=None if touch is None else (float(touch[1]), float(touch[2])),
+            touched_ns=self._touched_ns,
             closing_mps=max(impacts) if impacts else None,
             peak_force_n=contacts.worst_force_n.get(TIP, 0.0),
             press_force_n=float(np.median(self._forces)) if self._forces else None,

@@ -33,6 +33,8 @@ class Way:
     def __init__(self, impairments: Impairments, rng: np.random.Generator) -> None:
         self.cut = False
         """Nothing gets through."""
+        self.later_ns = 0
+        """What a message takes longer than the impairments say."""
         self._impairments = impairments
         self._rng = rng
         self._free_ns = 0
@@ -53,7 +55,8 @@ class Way:
         if lost:
             return Passage(None)
         # What was sent first arrives first: jitter holds back, it does not overtake.
-        arrives_ns = max(self._free_ns + round(i.delay_ms * 1e6) + jitter_ns, self._last_ns)
+        delay_ns = round(i.delay_ms * 1e6) + jitter_ns + self.later_ns
+        arrives_ns = max(self._free_ns + delay_ns, self._last_ns)
         self._last_ns = arrives_ns
         return Passage(arrives_ns)
 
@@ -78,3 +81,7 @@ class LinkModel:
     def cut(self, *, cut: bool) -> None:
         """Cut both ways, or heal them."""
         self.up.cut = self.down.cut = cut
+
+    def slow(self, later_s: float) -> None:
+        """Let both ways take so much longer; 0: as the profile says."""
+        self.up.later_ns = self.down.later_ns = round(1e9 * later_s)

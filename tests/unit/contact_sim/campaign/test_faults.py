@@ -18,6 +18,7 @@ from link_emulator.profiles import PROFILES
 from tests.unit.contact_sim.flights import BOARD_X_M, HEIGHT_M, REACH_M, plain_scene
 
 RIG = d455()
+EXAMPLE = Path(__file__).parents[4] / "examples/faults.toml"
 
 
 def flown(fault: Fault, seed: int = 0, longest_s: float = 20.0):
@@ -67,9 +68,14 @@ def test_what_strikes_is_felt() -> None:
 
 
 def test_what_is_over_is_over() -> None:
-    """A black hole of a second: afterwards the flight goes on to contact."""
+    """A black hole of a second, a slow link: afterwards the flight goes on to contact."""
     _, _, flight = flown(Fault(Kind.BLACK_HOLE, for_s=1.0), longest_s=60.0)
     assert flight.phase is Phase.DONE
+    _, slow, flight = flown(Fault(Kind.LINK_SLOW, for_s=3.0, size=0.2), longest_s=60.0)
+    assert flight.phase is Phase.DONE
+    late = [r.judgement for r in slow.receptions if r.judgement.network_delay_ns > 400_000_000]
+    assert len(late) > 5
+    assert {j.verdict.value for j in late} == {"network_delay"}
 
 
 def test_a_file_of_faults(tmp_path: Path) -> None:
@@ -110,3 +116,9 @@ def test_a_file_that_is_not_there() -> None:
     """Named."""
     with pytest.raises(CampaignError, match="nowhere.toml: No such file"):
         load_faults(Path("nowhere.toml"))
+
+
+def test_the_example_is_one() -> None:
+    """What docs/simulator.md names can be flown."""
+    kinds = [fault.kind for fault in load_faults(EXAMPLE)]
+    assert kinds == [Kind.BLACK_HOLE, Kind.LINK_SLOW, Kind.GUST]

@@ -21,6 +21,9 @@ from contact_sim.lockstep.flight import LockstepSettings
 ROW = FlightRow(
     world="tunnel",
     seed=3,
+    board="clean",
+    link="wifi",
+    eyes="model",
     fault="none",
     ablation="none",
     phase="done",
@@ -32,6 +35,7 @@ ROW = FlightRow(
     offset_m=0.004,
     touch_left_m=0.001,
     touch_up_m=-0.0039,
+    touch_age_s=0.12,
     closing_mps=0.03,
     peak_force_n=1.2,
     press_force_n=1.0,
@@ -97,10 +101,10 @@ def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
 
 
 def test_the_plan_has_every_flight_once() -> None:
-    """Faults and ablations are not crossed."""
+    """Each ablation with every fault, too."""
     faults = (None, Fault(Kind.GUST), Fault(Kind.VIO_OUT))
     jobs = plan(["tunnel", "refinery"], range(5), faults, ["no_gate"], "clean", "wifi", None)
-    assert len(jobs) == len({job.key for job in jobs}) == 2 * 5 * (3 + 1)
+    assert len(jobs) == len({job.flight for job in jobs}) == 2 * 5 * 3 * 2
     with pytest.raises(CampaignError, match="no ablation 'magic'"):
         plan(["tunnel"], range(1), (), ["magic"], "clean", "wifi", None)
 
@@ -111,6 +115,10 @@ def test_an_ablation_leaves_out_what_it_says() -> None:
     assert ablated(whole, "none") is whole
     assert ablated(whole, "composes_now") == replace(whole, composes_now=True)
     assert ablated(whole, "no_gate") == replace(whole, gates=False)
+    late = ablated(whole, "no_age")
+    assert not late.gates
+    assert late.parts.control.filter.age_max_ns == 2_000_000_000
+    assert late.parts.control.filter.drift_mps == 0.0
     funnel = ablated(whole, "no_funnel").parts.control.filter.funnel
     assert funnel.r_c_m == 0.5
 
@@ -158,8 +166,32 @@ def test_the_numbers_are_those_of_the_rows() -> None:
     text = page(
         [*rows, replace(ROW, fault="gust 2s"), replace(ROW, ablation="no_gate")], "cmd", "."
     )
-    for words in ("75 % [30, 95]", "gust 2s", "without the delay gate", "no OpenGL"):
+    for words in ("75 % [30, 95]", "gust 2s", "| the delay gate |", "no OpenGL"):
         assert words in text
+
+
+def test_what_is_compared_stands_together() -> None:
+    """Of a world and a fault first what lacks nothing; faults without an ablation are left out."""
+    rows = [
+        replace(ROW, fault=fault, ablation=ablation, seed=seed)
+        for ablation, fault, seed in [
+            ("none", "none", 1),
+            ("none", "gust 2s", 2),
+            ("none", "vio_out", 3),
+            ("no_funnel", "none", 4),
+            ("no_funnel", "gust 2s", 5),
+        ]
+    ]
+    rows[-1] = replace(rows[-1], outside_m=0.004, touch_age_s=0.31)
+    text = page(rows, "cmd", ".").split("## Without a part of the contract")[1]
+    cells = [line.split(" | ") for line in text.splitlines() if line.startswith("| tunnel")]
+    assert [(c[1], c[2][:10]) for c in cells] == [
+        ("gust 2s", "nothing"),
+        ("gust 2s", "the funnel"),
+        ("none", "nothing"),
+        ("none", "the funnel"),
+    ]
+    assert cells[1][7:10] == ["310 / 310 / 310", "1", "4.0"]
 
 
 def test_the_command_flies_and_tells(tmp_path: Path) -> None:
@@ -174,7 +206,11 @@ def test_the_command_flies_and_tells(tmp_path: Path) -> None:
     assert [row.seed for row in rows] == [0, 1]
     assert all(row.safe for row in rows)
     assert (tmp_path / "flights.csv").read_text().splitlines()[0] == ",".join(NAMES)
-    assert "contact within 2 cm" in (tmp_path / "flights.md").read_text()
+    text = (tmp_path / "flights.md").read_text()
+    assert "contact within 2 cm" in text
+    # What was given and changes what is flown; where it is kept and how it is told does not
+    assert "`python -m contact_sim campaign --world tunnel --flights 2`" in text
+    assert all(0.05 < row.touch_age_s < 0.3 for row in rows)
     before = (tmp_path / "flights.csv").read_bytes()
     again = CliRunner().invoke(app, [*arguments, "--resume"])
     assert again.exit_code == 0
