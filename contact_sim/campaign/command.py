@@ -13,20 +13,21 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from contact_sim.campaign.faults import USUAL, Fault, load_faults
+from contact_sim.campaign.faults import USUAL, Fault, Kind, load_faults
 from contact_sim.campaign.report import by_group, page, summary
 from contact_sim.campaign.row import Flight, FlightRow
 from contact_sim.campaign.run import ABLATIONS, WHOLE, Table, fly_campaign, plan
 from contact_sim.errors import CampaignError
 from contact_sim.flight.service import ServiceProcess
-from contact_sim.scene import WORLDS
+from contact_sim.lockstep.service_eyes import ServiceEyes
+from contact_sim.scene import BOARDS, WORLDS
 from link_emulator.errors import EmulatorError
 from link_emulator.profiles import PROFILES, profile
 
 USUAL_FAULTS = "usual"
 TABLE_NAME = "flights.csv"
 PAGE_NAME = "flights.md"
-_ELSEWHERE = frozenset({"out", "connect", "jobs", "resume", "write", "as_json"})
+_ELSEWHERE = frozenset({"out", "connect", "jobs", "resume", "overwrite", "write", "as_json"})
 """Options that do not change what is flown."""
 
 
@@ -77,6 +78,9 @@ def campaign(
     resume: Annotated[
         bool, typer.Option("--resume", help="go on after the flights that are in the table")
     ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="throw away the table that is there")
+    ] = False,
     write: Annotated[
         Path | None, typer.Option(help="write the page here as well", show_default=False)
     ] = None,
@@ -94,20 +98,23 @@ def campaign(
     """
     console = Console(stderr=True)
     worlds = world or list(WORLDS)
-    _check(worlds, link, eyes, connect)
-    struck: tuple[Fault | None, ...] = () if faults is None else _faults(faults)
+    _check(worlds, board, link, eyes, connect)
+    struck: tuple[Fault | None, ...] = () if faults is None else _faults(faults, eyes)
     kinds = ((None,) if plain else ()) + struck
     seeds = range(first_seed, first_seed + flights)
     processes = jobs or os.cpu_count() or 1
+    chosen = ABLATIONS if ablations else ()
+    plan(worlds, seeds, kinds, chosen, board, link, connect)
     with ExitStack() as stack:
+        table = Table(out / TABLE_NAME, goes_on=resume, overwrites=overwrite)
+        stack.callback(table.close)
         endpoint = connect
         if eyes is EyesName.SERVICE and connect is None:
             console.print("starting a service", highlight=False)
             endpoint = stack.enter_context(ServiceProcess(out)).endpoint
-        chosen = ABLATIONS if ablations else ()
+        if endpoint is not None:
+            ServiceEyes(endpoint, "campaign").close()  # none there: told before a flight begins
         jobs_planned = plan(worlds, seeds, kinds, chosen, board, link, endpoint)
-        table = Table(out / TABLE_NAME, goes_on=resume)
-        stack.callback(table.close)
         bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -144,8 +151,10 @@ def campaign(
         raise typer.Exit(3)
 
 
-def _check(worlds: list[str], link: str, eyes: EyesName, connect: str | None) -> None:
+def _check(worlds: list[str], board: str, link: str, eyes: EyesName, connect: str | None) -> None:
     """What was asked for, before anything is started."""
+    if board not in BOARDS:
+        raise CampaignError(f"no board {board!r}; there are: {', '.join(BOARDS)}")
     for name in worlds:
         if name not in WORLDS:
             raise CampaignError(f"no world {name!r}; there are: {', '.join(WORLDS)}")
@@ -164,8 +173,15 @@ def _line(s: dict[str, Any]) -> str:
     )
 
 
-def _faults(text: str) -> tuple[Fault, ...]:
-    return USUAL if text == USUAL_FAULTS else load_faults(Path(text))
+def _faults(text: str, eyes: EyesName) -> tuple[Fault, ...]:
+    """The faults asked for; of the usual ones those that these eyes can be struck with."""
+    chosen = USUAL if text == USUAL_FAULTS else load_faults(Path(text))
+    if eyes is EyesName.MODEL:
+        return chosen
+    drawn = tuple(fault for fault in chosen if fault.kind is not Kind.OCCLUDED)
+    if text != USUAL_FAULTS and drawn != chosen:
+        raise CampaignError("occluded is for --eyes model: no picture shows a person")
+    return drawn
 
 
 def _in_order(rows: list[FlightRow], keys: list[Flight]) -> list[FlightRow]:

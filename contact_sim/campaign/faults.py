@@ -17,6 +17,7 @@ from contact_sim.lockstep.eyes import ModelEyes
 from contact_sim.lockstep.flight import LockstepFlight
 from drone_client.mission import Phase
 
+LAMPLIT: Final = frozenset({"tunnel"})
 MAX_FILE_BYTES: Final = 65_536
 CLOCK_STEP_NS: Final = 3_600_000_000_000
 
@@ -48,17 +49,31 @@ class Kind(StrEnum):
     """The worker's clock is set by an hour."""
 
 
+SIZES: Final = {Kind.VIO_JUMPS: 0.3, Kind.GUST: 0.3, Kind.LINK_SLOW: 0.2}
+"""Of the kinds that have one, when a fault does not say: metres; ten times metres per second;
+seconds each way."""
+FOR_GOOD: Final = frozenset(
+    {Kind.WORKER_KILLED, Kind.VIO_JUMPS, Kind.LAMP_OUT, Kind.CAMERA_FROZEN, Kind.CLOCK_STEP}
+)
+"""What is never over: ``for_s`` says nothing."""
+GUST_S: Final = 1.5
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault; it strikes once, at a random place of the approach."""
+    """One fault; it strikes once, at a random place of the approach.
+
+    Raises:
+        CampaignError: a number is out of its bounds, or says nothing for this kind.
+    """
 
     kind: Kind
     nearest_m: float = 0.0
     """The distance of the tip at which it strikes is drawn between the two."""
     farthest_m: float = 0.9
-    for_s: float = math.inf
-    """Then it is over."""
-    size: float = 0.3
+    for_s: float | None = None
+    """Then it is over; None: a gust after 1.5 s, anything else never."""
+    size: float | None = None
     """vio_jumps: metres; gust: ten times metres per second; link_slow: seconds each way."""
 
     def __post_init__(self) -> None:
@@ -67,11 +82,26 @@ class Fault:
                 f"{self.kind}: 0 <= nearest_m = {self.nearest_m:g} <= farthest_m = "
                 f"{self.farthest_m:g} <= 10 does not hold"
             )
-        if not self.for_s > 0.0 or not 0.0 < self.size <= 2.0:
-            raise CampaignError(
-                f"{self.kind}: for_s = {self.for_s:g} must be over 0, and size = {self.size:g} in "
-                "(0, 2]"
-            )
+        if self.for_s is not None and self.kind in FOR_GOOD:
+            raise CampaignError(f"{self.kind} is never over: it takes no for_s")
+        if self.for_s is not None and not 0.0 < self.for_s <= 3600.0:
+            raise CampaignError(f"{self.kind}: for_s = {self.for_s:g} must be in (0, 3600]")
+        if self.size is not None and self.kind not in SIZES:
+            raise CampaignError(f"{self.kind} takes no size; {', '.join(SIZES)} do")
+        if self.size is not None and not 0.0 < self.size <= 2.0:
+            raise CampaignError(f"{self.kind}: size = {self.size:g} must be in (0, 2]")
+
+    @property
+    def seconds(self) -> float:
+        """How long it lasts; infinite: for good."""
+        if self.for_s is not None:
+            return self.for_s
+        return GUST_S if self.kind is Kind.GUST else math.inf
+
+    @property
+    def amount(self) -> float:
+        """Its size; zero for a kind that has none."""
+        return SIZES.get(self.kind, 0.0) if self.size is None else self.size
 
 
 USUAL: Final = (
@@ -79,11 +109,11 @@ USUAL: Final = (
     Fault(Kind.WORKER_HANGS),
     Fault(Kind.BLACK_HOLE),
     Fault(Kind.BLACK_HOLE, for_s=1.0),
-    Fault(Kind.LINK_SLOW, for_s=6.0, size=0.2),
+    Fault(Kind.LINK_SLOW, for_s=6.0),
     Fault(Kind.VIO_JUMPS),
     Fault(Kind.VIO_OUT),
     Fault(Kind.LAMP_OUT),
-    Fault(Kind.GUST, for_s=1.5),
+    Fault(Kind.GUST),
     Fault(Kind.OCCLUDED, for_s=3.0),
     Fault(Kind.CAMERA_FROZEN),
     Fault(Kind.CLOCK_STEP),
@@ -92,10 +122,22 @@ USUAL: Final = (
 
 
 def fault_name(fault: Fault | None) -> str:
-    """For a table."""
+    """For a table: the kind, and what is not as it is by default; no two faults share one."""
     if fault is None:
         return "none"
-    return fault.kind.value if math.isinf(fault.for_s) else f"{fault.kind.value} {fault.for_s:g}s"
+    usual = Fault(fault.kind)
+    words = [fault.kind.value]
+    words += [f"of {fault.amount:g}"] if fault.amount != usual.amount else []
+    words += [f"{fault.seconds:g}s"] if not math.isinf(fault.seconds) else []
+    place = fault.nearest_m, fault.farthest_m
+    if place != (usual.nearest_m, usual.farthest_m):
+        words.append(f"at {place[0]:g}-{place[1]:g} m")
+    return " ".join(words)
+
+
+def strikes(fault: Fault | None, world: str) -> bool:
+    """Whether there is anything in a world for a fault to strike: no lamps burn in daylight."""
+    return fault is None or fault.kind is not Kind.LAMP_OUT or world in LAMPLIT
 
 
 class Striker:
@@ -122,7 +164,7 @@ class Striker:
             if near and distance_m is not None and distance_m <= self._at_m:
                 self.struck_ns, self.struck_m = now_ns, distance_m
                 self._switch(flight, on=True)
-        elif not self._ended and now_ns - self.struck_ns >= self._fault.for_s * 1e9:
+        elif not self._ended and now_ns - self.struck_ns >= self._fault.seconds * 1e9:
             self._ended = True
             self._switch(flight, on=False)
 
@@ -137,7 +179,7 @@ class Striker:
             case Kind.BLACK_HOLE:
                 flight.link.cut(cut=on)
             case Kind.LINK_SLOW:
-                flight.link.slow(self._fault.size if on else 0.0)
+                flight.link.slow(self._fault.amount if on else 0.0)
             case Kind.CAMERA_FROZEN:
                 flight.frozen = on
             case _:
@@ -150,7 +192,7 @@ class Striker:
             case Kind.OCCLUDED:
                 self._occlude(flight, on)
             case Kind.VIO_JUMPS if on:
-                flight.simulation.vio_camera.jump((self._fault.size * self._direction).tolist())
+                flight.simulation.vio_camera.jump((self._fault.amount * self._direction).tolist())
             case Kind.GUST if on:
                 self._gust(flight)
             case Kind.LAMP_OUT if on:
@@ -161,9 +203,9 @@ class Striker:
     def _gust(self, flight: LockstepFlight) -> None:
         x, y, z = self._direction.tolist()
         level = x, y, 0.3 * z
-        scale = 10.0 * self._fault.size / math.hypot(*level)
+        scale = 10.0 * self._fault.amount / math.hypot(*level)
         velocity = scale * level[0], scale * level[1], scale * level[2]
-        flight.simulation.wind.gust(velocity, self._fault.for_s)
+        flight.simulation.wind.gust(velocity, self._fault.seconds)
 
     def _lamps_out(self, flight: LockstepFlight) -> None:
         for lamp in flight.scene.lamps:
@@ -191,7 +233,13 @@ def load_faults(path: Path) -> tuple[Fault, ...]:
         raw = tomllib.loads(data.decode("utf-8"))
         if set(raw) != {"fault"} or not isinstance(raw["fault"], list):
             raise CampaignError("a file of faults holds [[fault]] tables and nothing else")
-        return tuple(_fault(table) for table in raw["fault"])
+        faults = tuple(_fault(table) for table in raw["fault"])
+        names = [fault_name(fault) for fault in faults]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise CampaignError(f"twice the same: {', '.join(twice)}")
+        if not faults:
+            raise CampaignError("a file of faults holds at least one [[fault]]")
+        return faults
     except OSError as error:
         raise CampaignError(f"faults {path}: {error.strerror}") from None
     except (ValueError, RecursionError, CampaignError) as error:

@@ -40,6 +40,7 @@ def summary(rows: Sequence[FlightRow]) -> dict[str, Any]:
         "retreat": sum(row.ends == "retreat" for row in flown),
         "stands": sum(row.ends == "stands" for row in flown),
         "back_to_m": min((row.end_m for row in flown if row.ends == "retreat"), default=None),
+        "no_approach": sum(row.ends == "no_approach" for row in flown),
         "touches": sum(row.ends == "touches" for row in flown),
         "safe": sum(row.safe for row in flown),
         "collided": sum(bool(row.collisions) for row in flown),
@@ -119,6 +120,7 @@ def _plain(worlds: dict[str, dict[str, Any]]) -> list[str]:
         row("flights", "100", lambda s: str(s["flights"])),
         row("contact within 2 cm", ">= 98 %", lambda s: _share(s["within_2cm"], s["flights"])),
         row("contact within 1 cm", ">= 80 %", lambda s: _share(s["within_1cm"], s["flights"])),
+        row("never began an approach", "0", lambda s: str(s["no_approach"])),
         row("at the first attempt", "", lambda s: _share(s["first_attempt"], s["flights"])),
         row("offset [mm], p50 / p95 / max", "", lambda s: _cell(s["offset_mm"], ".1f")),
         row("age of what it knew [ms]", "<= 300", lambda s: _cell(s["touch_age_ms"], ".0f")),
@@ -139,19 +141,20 @@ def _faults(faults: dict[tuple[str, str, str], dict[str, Any]]) -> list[str]:
         "Each strikes once, at a random distance from the board. *Contact*: touched and back all "
         "the same. *Retreat*: back without, *to* at least so far from the board. *Stands*: given "
         "back nearer than half the stand-off distance, clear of the board. *On the board*: given "
-        "back while it touches.",
+        "back while it touches. *None*: it never began an approach.",
         "",
-        "| world | fault | flights | contact | retreat | to [m] | stands | on the board | touched "
-        "anything else | push outside the mouth | deepest [mm] | force [N], p50 / p95 / max |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |",
+        "| world | fault | flights | contact | retreat | to [m] | stands | on the board | none "
+        "| touched anything else | push outside the mouth | deepest [mm] "
+        "| force [N], p50 / p95 / max |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |",
     ]
     for (world, fault, _), s in faults.items():
         force = _cell(s["peak_force_n"], ".2f")
         back = "-" if s["back_to_m"] is None else f"{s['back_to_m']:.2f}"
         lines.append(
             f"| {world} | {fault.replace('_', ' ')} | {s['flights']} | {s['contact']} | "
-            f"{s['retreat']} | {back} | {s['stands']} | {s['touches']} | {s['collided']} | "
-            f"{s['outside']} | {s['outside_mm']:.1f} | {force} |"
+            f"{s['retreat']} | {back} | {s['stands']} | {s['touches']} | {s['no_approach']} | "
+            f"{s['collided']} | {s['outside']} | {s['outside_mm']:.1f} | {force} |"
         )
     return [*lines, ""]
 

@@ -43,7 +43,7 @@ class FlightRow:
     reason: str
     ends: str
     """contact: touched and back. retreat: back, without. stands: given back clear of the board.
-    touches: given back on it."""
+    touches: given back on it. no_approach: it never began one. failed: it was not flown."""
     attempts: int
     struck_m: float | None
     """Where the fault struck."""
@@ -95,6 +95,8 @@ def flight_row(flight: Flight, flown: Flown, striker: Striker | None, wall_s: fl
     left, up = (None, None) if o.touch_target_m is None else o.touch_target_m
     if flown.phase is Phase.DONE:
         ends = "contact"
+    elif flown.attempts == 0:
+        ends = "no_approach"
     elif o.end_m >= AWAY_M:
         ends = "retreat"
     else:
@@ -193,6 +195,8 @@ def from_cells(cells: dict[str, str]) -> FlightRow:
         if kind == "str":
             values[field.name] = text
         elif kind == "bool":
+            if text not in ("True", "False"):
+                raise ValueError(f"{field.name} = {text[:40]!r} is neither True nor False")
             values[field.name] = text == "True"
         elif text == "":
             values[field.name] = None

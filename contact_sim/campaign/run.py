@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
 
-from contact_sim.campaign.faults import Fault, Striker, fault_name
+from contact_sim.campaign.faults import Fault, Striker, fault_name, strikes
 from contact_sim.campaign.row import (
     NAMES,
     Flight,
@@ -41,6 +41,8 @@ WHOLE: Final = "none"
 ABLATIONS: Final = ("composes_now", "no_gate", "no_age", "no_funnel")
 """What is left out: capture-time composition, the delay gate, gate and age of what is known, the
 funnel."""
+HOPELESS: Final = 3
+"""When so many flights, the first ones, cannot be flown, no other will."""
 NO_AGE_NS: Final = 2_000_000_000
 """Knowledge so old is good enough: the most that the filter takes."""
 NO_FUNNEL_M: Final = 0.5
@@ -138,17 +140,25 @@ class Table:
     """The rows on disk: kept as they come, read when a campaign goes on.
 
     Raises:
-        CampaignError: the file cannot be written, or is no table of flights.
+        CampaignError: the file cannot be written, is there already, or is no table of flights.
     """
 
-    def __init__(self, path: Path, *, goes_on: bool) -> None:
+    def __init__(self, path: Path, *, goes_on: bool, overwrites: bool = False) -> None:
         self.rows: list[FlightRow] = []
         self._path = path
-        if goes_on and path.exists():
+        if path.exists() and not overwrites:
+            if not goes_on:
+                raise CampaignError(
+                    f"{path} is there already: --resume goes on after its flights, --overwrite "
+                    "throws them away, --out takes another folder"
+                )
             self.rows = read_table(path)
+        # What has been flown is never lost: the new table is whole before it takes the old one's
+        # place
+        beside = path.with_name(path.name + ".part")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("w", encoding="utf-8", newline="")
+            self._file = beside.open("w", encoding="utf-8", newline="")
         except OSError as error:
             raise CampaignError(f"cannot write {path}: {error.strerror}") from None
         self._writer = csv.DictWriter(self._file, NAMES)
@@ -156,8 +166,11 @@ class Table:
             self._writer.writeheader()
             self._writer.writerows(as_cells(row) for row in self.rows)
             self._file.flush()
+            beside.replace(path)
         except OSError as error:
             self.close()
+            with suppress(OSError):
+                beside.unlink()
             raise CampaignError(f"cannot write {path}: {error.strerror}") from None
 
     def add(self, row: FlightRow) -> None:
@@ -186,9 +199,12 @@ def read_table(path: Path) -> list[FlightRow]:
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            lines = list(csv.DictReader(file))
+            reader = csv.DictReader(file)
+            lines = list(reader)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise CampaignError(f"cannot read {path}: {error}") from None
+    if lacks := [name for name in NAMES if name not in (reader.fieldnames or ())]:
+        raise CampaignError(f"{path} is no table of flights: column {lacks[0]} is missing")
     rows = []
     for number, cells in enumerate(lines, 2):
         try:
@@ -249,20 +265,24 @@ def plan(
     link: str,
     endpoint: str | None,
 ) -> list[Job]:
-    """Every flight of a campaign: each ablation with every fault, too.
+    """Every flight of a campaign, once: each ablation with every fault that there can be, too.
 
     Raises:
-        CampaignError: there is no such ablation.
+        CampaignError: there is no such ablation, or nothing to fly.
     """
     for ablation in ablations:
         ablated(LockstepSettings(), ablation)
-    return [
+    jobs = [
         Job(world, seed, board, link, fault, ablation, endpoint)
         for ablation in (WHOLE, *ablations)
-        for world in worlds
+        for world in dict.fromkeys(worlds)
         for fault in faults
+        if strikes(fault, world)
         for seed in seeds
     ]
+    if not jobs:
+        raise CampaignError("there is nothing to fly: no fault, and none without one")
+    return jobs
 
 
 def fly_campaign(
@@ -283,6 +303,6 @@ def fly_campaign(
     for row in fly_all(left, processes):
         table.add(row)
         on_row(row)
-        failed += bool(row.error)
-        if failed >= 3 and failed == len(table.rows):
+        failed = failed + 1 if row.error and failed >= 0 else -1  # one that flies: no fault of all
+        if failed >= HOPELESS:
             raise ServiceError(f"no flight succeeds; the last: {row.error}")

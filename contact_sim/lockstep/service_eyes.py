@@ -13,6 +13,7 @@ from typing import Final, Self
 
 from contact_sim.errors import ServiceError
 from contact_sim.lockstep.eyes import Look
+from drone_client.errors import ClientError
 from drone_client.link import Link
 from drone_client.link.choose import open_link
 from drone_client.settings import load_settings
@@ -40,15 +41,17 @@ class ServiceEyes:
 
     def __init__(self, endpoint: str, drone: str = "lockstep") -> None:
         """Connect to a service; waits for its first worker."""
-        settings = load_settings(name=drone, connect=endpoint)
         self._drone = drone
         self._clock = MonotonicClock()
         self._boot_id = secrets.randbits(62)
         self._next = 0
         self._changed = threading.Condition()
         self._results: dict[int, Result] = {}
-        self._link: Link = open_link(settings, self._clock)
-        self._link.start(self._on_message, self._on_workers)
+        try:
+            self._link: Link = open_link(load_settings(name=drone, connect=endpoint), self._clock)
+            self._link.start(self._on_message, self._on_workers)
+        except ClientError as error:
+            raise ServiceError(str(error)) from None
         give_up = time.monotonic() + WORKER_S
         with self._changed:
             while not self._link.workers():

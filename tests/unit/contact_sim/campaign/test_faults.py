@@ -6,12 +6,23 @@ import math
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from contact_sim.campaign.faults import USUAL, Fault, Kind, Striker, fault_name, load_faults
+from contact_sim.campaign.faults import (
+    USUAL,
+    Fault,
+    Kind,
+    Striker,
+    fault_name,
+    load_faults,
+    strikes,
+)
 from contact_sim.chance import stream
 from contact_sim.errors import CampaignError
 from contact_sim.lockstep.eyes import ModelEyes
 from contact_sim.lockstep.flight import LockstepFlight, LockstepSettings
+from contact_sim.scene import build_scene
 from contact_sim.sensing import d455
 from drone_client.mission import Phase
 from link_emulator.profiles import PROFILES
@@ -40,6 +51,25 @@ def test_every_kind_is_flown_by_default() -> None:
     assert len({fault_name(fault) for fault in USUAL}) == len(USUAL)
     assert fault_name(None) == "none"
     assert fault_name(Fault(Kind.BLACK_HOLE, for_s=1.0)) == "black_hole 1s"
+    assert fault_name(Fault(Kind.GUST)) == "gust 1.5s"
+    far = Fault(Kind.VIO_JUMPS, 0.1, 0.2, size=2.0)
+    assert fault_name(far) == "vio_jumps of 2 at 0.1-0.2 m"
+
+
+@given(st.lists(st.builds(Fault, st.just(Kind.GUST), st.floats(0, 1), st.floats(1, 2)), min_size=2))
+def test_faults_of_one_kind_keep_their_names_apart(faults) -> None:
+    """A table's row is known by the name: what strikes elsewhere is called otherwise."""
+    different = {(f"{f.nearest_m:g}", f"{f.farthest_m:g}") for f in faults}
+    assert len({fault_name(fault) for fault in faults}) == len(different)
+
+
+def test_in_daylight_no_lamp_goes_out() -> None:
+    """The refinery has none; anything else can strike there, too."""
+    assert strikes(None, "refinery")
+    assert [f.kind for f in USUAL if not strikes(f, "refinery")] == [Kind.LAMP_OUT]
+    assert all(strikes(f, "tunnel") for f in USUAL)
+    assert build_scene("refinery", 0).lamps == ()
+    assert build_scene("tunnel", 0).lamps
 
 
 @pytest.mark.parametrize("fault", USUAL, ids=fault_name)
@@ -83,7 +113,7 @@ def test_a_file_of_faults(tmp_path: Path) -> None:
     path = tmp_path / "faults.toml"
     path.write_text('[[fault]]\nkind = "gust"\nfor_s = 2\nsize = 0.5\n[[fault]]\nkind="vio_out"\n')
     assert load_faults(path) == (Fault(Kind.GUST, for_s=2.0, size=0.5), Fault(Kind.VIO_OUT))
-    assert math.isinf(load_faults(path)[1].for_s)
+    assert math.isinf(load_faults(path)[1].seconds)
 
 
 @pytest.mark.parametrize(
@@ -97,8 +127,13 @@ def test_a_file_of_faults(tmp_path: Path) -> None:
         ('[[fault]]\nkind = "gust"\nfor_s = "long"', "for_s = long is no number"),
         ('[[fault]]\nkind = "gust"\nfor_s = true', "for_s = True is no number"),
         ('[[fault]]\nkind = "gust"\nfor_s = nan', "for_s = nan is no number"),
-        ('[[fault]]\nkind = "gust"\nfor_s = -1', "for_s = -1 must be over 0"),
-        ('[[fault]]\nkind = "gust"\nsize = 9', "size = 9 in"),
+        ('[[fault]]\nkind = "gust"\nfor_s = -1', "for_s = -1 must be in"),
+        ('[[fault]]\nkind = "gust"\nfor_s = inf', "for_s = inf must be in"),
+        ('[[fault]]\nkind = "gust"\nsize = 9', "size = 9 must be in"),
+        ('[[fault]]\nkind = "lamp_out"\nfor_s = 1', "lamp_out is never over"),
+        ('[[fault]]\nkind = "vio_out"\nsize = 1', "vio_out takes no size"),
+        ('[[fault]]\nkind = "gust"\n[[fault]]\nkind = "gust"', "twice the same: gust 1.5s"),
+        ("fault = []", "at least one"),
         ('[[fault]]\nkind = "gust"\nnearest_m = 2\nfarthest_m = 1', "does not hold"),
         ("[[fault", "Expected"),
     ],

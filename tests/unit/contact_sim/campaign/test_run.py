@@ -77,7 +77,10 @@ def test_a_table_goes_on_where_it_was(tmp_path: Path) -> None:
     again.add(replace(ROW, seed=4))
     again.close()
     assert [row.seed for row in read_table(path)] == [3, 4]
-    anew = Table(path, goes_on=False)
+    with pytest.raises(CampaignError, match="there already: --resume goes on"):
+        Table(path, goes_on=False)
+    assert [row.seed for row in read_table(path)] == [3, 4]
+    anew = Table(path, goes_on=False, overwrites=True)
     anew.close()
     assert read_table(path) == []
 
@@ -89,13 +92,17 @@ def test_a_table_that_is_none_or_cannot_be_written_is_named(tmp_path: Path) -> N
         Table(tmp_path / "taken", goes_on=False)
     other = tmp_path / "other.csv"
     other.write_text("a,b\n1,2\n3,4\n")
-    with pytest.raises(CampaignError, match=r"other.csv, line 2: column world is missing"):
-        read_table(other)
+    with pytest.raises(CampaignError, match=r"other.csv is no table of flights: column world is"):
+        Table(other, goes_on=True)
+    assert other.read_text().startswith("a,b")
+    cells = {k: str(v) for k, v in as_cells(ROW).items()}
+    with pytest.raises(ValueError, match="touched = 'maybe' is neither"):
+        from_cells(cells | {"touched": "maybe"})
 
 
 def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
     """Before anything is flown."""
-    (tmp_path / "flights.csv").symlink_to("/dev/full")
+    (tmp_path / "flights.csv.part").symlink_to("/dev/full")
     with pytest.raises(CampaignError, match="No space left"):
         Table(tmp_path / "flights.csv", goes_on=False)
 
@@ -107,6 +114,9 @@ def test_the_plan_has_every_flight_once() -> None:
     assert len(jobs) == len({job.flight for job in jobs}) == 2 * 5 * 3 * 2
     with pytest.raises(CampaignError, match="no ablation 'magic'"):
         plan(["tunnel"], range(1), (), ["magic"], "clean", "wifi", None)
+    with pytest.raises(CampaignError, match="nothing to fly"):
+        plan(["tunnel"], range(1), (), [], "clean", "wifi", None)
+    assert len(plan(["tunnel", "tunnel"], range(2), (None,), [], "clean", "wifi", None)) == 2
 
 
 def test_an_ablation_leaves_out_what_it_says() -> None:
@@ -138,6 +148,12 @@ def test_when_nothing_can_be_flown_it_ends_early(tmp_path: Path) -> None:
         fly_campaign(jobs, table, 1)
     table.close()
     assert len(table.rows) == 3
+    resumed = Table(tmp_path / "flights.csv", goes_on=True)
+    resumed.add(ROW)
+    with pytest.raises(ServiceError, match="no flight succeeds"):
+        fly_campaign(jobs, resumed, 1)
+    resumed.close()
+    assert len(resumed.rows) == 3 + 1 + 3
 
 
 @pytest.mark.parametrize(("hits", "of"), [(0, 10), (3, 10), (98, 100), (100, 100)])
@@ -156,6 +172,7 @@ def test_the_numbers_are_those_of_the_rows() -> None:
         replace(ROW, seed=6, collisions="drone/propeller_0 on board", outside_m=0.002),
         replace(ROW, seed=7, error="no OpenGL"),
     ]
+    assert summary([replace(ROW, ends="no_approach", attempts=0)])["no_approach"] == 1
     s = summary(rows)
     assert (s["flights"], s["failed"], s["contact"], s["retreat"]) == (4, 1, 3, 1)
     assert (s["within_2cm"], s["within_1cm"], s["first_attempt"]) == (3, 2, 2)
@@ -166,6 +183,9 @@ def test_the_numbers_are_those_of_the_rows() -> None:
     text = page(
         [*rows, replace(ROW, fault="gust 2s"), replace(ROW, ablation="no_gate")], "cmd", "."
     )
+    text_of_faults = text.split("## With a fault")[1].splitlines()
+    widths = {line.count("|") for line in text_of_faults if line.startswith("|")}
+    assert len(widths) == 2, widths  # two tables, each of one width
     for words in ("75 % [30, 95]", "gust 2s", "| the delay gate |", "no OpenGL"):
         assert words in text
 
@@ -217,11 +237,22 @@ def test_the_command_flies_and_tells(tmp_path: Path) -> None:
     assert (tmp_path / "flights.csv").read_bytes() == before
 
 
+@pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:99999"])
+def test_an_endpoint_that_is_none_is_told_at_once(tmp_path, endpoint) -> None:
+    """In the words of the link, and before any flight."""
+    arguments = ["campaign", "--eyes", "service", "--connect", endpoint, "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, arguments)
+    assert isinstance(result.exception, ServiceError), result.exception
+    assert endpoint in str(result.exception)
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
         (("--world", "moon"), "no world 'moon'; there are: tunnel, refinery"),
         (("--link", "string"), "no link 'string'"),
+        (("--board", "rusty"), "no board 'rusty'; there are: clean, scratched, glossy"),
+        (("--no-plain",), "there is nothing to fly"),
         (("--connect", "tcp/127.0.0.1:1"), "--connect is for --eyes service"),
         (("--faults", "nowhere.toml"), "faults nowhere.toml: No such file"),
     ],
