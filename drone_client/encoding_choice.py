@@ -11,7 +11,7 @@ from drone_client.region_of_interest import depth_region
 from drone_client.target import TargetEstimate
 from rgbd_wire.depth import DepthPlan, Region
 from rgbd_wire.frame import RgbdFrame
-from rgbd_wire.frame_codec import CompressedFrame, Encoding
+from rgbd_wire.frame_codec import Encoding
 
 RANGE_MAX_M = 6.0
 """On a lean rung nothing past it is sent: nobody touches what is so far away, and stereo depth is
@@ -56,10 +56,9 @@ class EncodingChoice:
             plan = DepthPlan(rung.depth_step, region if rung.region else None, RANGE_MAX_M)
         return ChosenEncoding(choice, Encoding(choice.jpeg_quality, plan))
 
-    def weighed(self, chosen: ChosenEncoding, compressed: CompressedFrame) -> None:
+    def weighed(self, chosen: ChosenEncoding, color_bytes: int, depth_bytes: int) -> None:
         """What the frame came to."""
-        depth_bytes = compressed.depth.size_bytes
-        self._rate.weighed(chosen.choice, len(compressed.color), depth_bytes)
+        self._rate.weighed(chosen.choice, color_bytes, depth_bytes)
 
     def _region(self, frame: RgbdFrame) -> Region | None:
         estimate = self._estimate()

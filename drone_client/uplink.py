@@ -269,7 +269,7 @@ class Uplink:
             return
         choice = self._choice.choose(frame, started_ns, goodput)
         compressed = compress(frame, choice.encoding)
-        self._choice.weighed(choice, compressed)
+        self._choice.weighed(choice, len(compressed.color), compressed.depth.size_bytes)
         t1_ns = self._clock.now_ns()
         self._encoding_ns += (t1_ns - started_ns - self._encoding_ns) // 4
         budget_ns = s.age_max_ns - (t1_ns - frame.t_capture_ns) - round_trip_ns

@@ -136,7 +136,7 @@ def take(condition: Condition, eyes: Eyes) -> Sample:
     with Studio(scene, condition.seed, light) as studio:
         for number in range(SETTLE + 1):
             picture = studio.take(number * 66_666_667, world_from_camera, out, condition.arm_m)
-        look = eyes.look(0, picture.t_ns, studio.frame(picture), Pose.identity())
+        look = eyes.look(studio.frame(picture), Pose.identity())
     if look.target is None:
         return Sample(
             condition, picture.color_rgb, None, look.outcome.value.replace("_", " "), None

@@ -100,7 +100,7 @@ def _look(
         for number, world_from_camera in enumerate(fly_by.way):
             t_ns = round(number * 1e9 / fly_by.rate_hz)
             picture = studio.take(t_ns, world_from_camera)
-            look = eyes.look(number, t_ns, studio.frame(picture), Pose.identity())
+            look = eyes.look(studio.frame(picture), Pose.identity())
             answer = None if look.target is None else pose_of(look.target.camera_from_target)
             found, off_m = which(fly_by.world_from_boards, world_from_camera, answer)
             seen = seeing.whole(world_from_camera)

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from drone_client.encoding_choice import ChosenEncoding
 from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.geometry import Array, Pose, rotation_from_vector
@@ -15,6 +16,8 @@ from rgbd_wire.messages import Outcome, TargetPose, pack_covariance, pose_number
 from target_pose.lens import project
 
 BOARD_M = 0.4
+HEADER_BYTES = 600
+"""Of a frame: stamps, calibration, poses."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,8 +26,8 @@ class Look:
 
     outcome: Outcome
     target: TargetPose | None
-    size_bytes: int
-    """Of the frame on the wire."""
+    sizes: tuple[int, int, int]
+    """Of the frame on the wire, and of its colour and depth therein [bytes]."""
 
 
 class Eyes(Protocol):
@@ -34,15 +37,14 @@ class Eyes(Protocol):
     """Whether the frame must have been drawn."""
 
     def look(
-        self, sequence: int, t_capture_ns: int, frame: RgbdFrame | None, camera_from_target: Pose
+        self, frame: RgbdFrame, camera_from_target: Pose, chosen: ChosenEncoding | None = None
     ) -> Look:
         """Look at a frame.
 
         Args:
-            sequence: of the frame.
-            t_capture_ns: drone's clock.
-            frame: None where no pictures are needed.
+            frame: of black pictures, where no pictures are needed.
             camera_from_target: the truth; a service does not look at it.
+            chosen: how it is coded; None: as well as can be.
         """
         ...
 
@@ -68,7 +70,10 @@ class EyesSettings:
     nearest_m: float = 0.28
     """Nearer, the board's markings do not fit into the picture."""
     tilt_max_rad: float = 1.2
-    frame_bytes: int = 60_000
+    color_bytes: int = 36_000
+    """Of a picture in JPEG of quality 80, and"""
+    depth_bytes: int = 26_000
+    """of all its depth: means of drawn pictures of four flights."""
 
 
 class ModelEyes:
@@ -94,14 +99,14 @@ class ModelEyes:
         self._sight: Array = s.sight_rad * rng.standard_normal(2)
 
     def look(
-        self, sequence: int, t_capture_ns: int, frame: RgbdFrame | None, camera_from_target: Pose
+        self, frame: RgbdFrame, camera_from_target: Pose, chosen: ChosenEncoding | None = None
     ) -> Look:
         """An answer; draws the same chances whatever it comes to."""
         s = self._settings
         noise, luck = self._rng.standard_normal(6), self._rng.uniform()
         found = s.found * (0.6 if self.dark else 1.0)
         if self.occluded or luck > found or not self._in_view(camera_from_target):
-            return Look(Outcome.NOTHING_FOUND, None, s.frame_bytes)
+            return Look(Outcome.NOTHING_FOUND, None, self._sizes(chosen))
         worse = 2.0 if self.dark else 1.0
         range_m = float(np.linalg.norm(camera_from_target.translation))
         across, along = worse * s.across_m * range_m, worse * s.along_m * range_m**2
@@ -130,7 +135,16 @@ class ModelEyes:
             score=0.9,
             boxes=(),
         )
-        return Look(Outcome.TARGET, target, s.frame_bytes)
+        return Look(Outcome.TARGET, target, self._sizes(chosen))
+
+    def _sizes(self, chosen: ChosenEncoding | None) -> tuple[int, int, int]:
+        """As the ladder of encodings weighs its rungs."""
+        color, depth = float(self._settings.color_bytes), float(self._settings.depth_bytes)
+        if chosen is not None:
+            rung = chosen.choice.rung
+            color *= rung.color_weight
+            depth *= rung.depth_weight(chosen.choice.region_share)
+        return round(color) + round(depth) + HEADER_BYTES, round(color), round(depth)
 
     def _in_view(self, camera_from_target: Pose) -> bool:
         """The inner half of the board is in the picture, near enough, and not from behind."""

@@ -1,9 +1,9 @@
 """One flight in lockstep: the client's own parts, a worker, a link and a world, tick by tick.
 
-What thread a part runs on is all that differs from ``drone-client fly``: gate, target filter,
-mission, guidance, safety filter, jump watch, odometry feed and dead man are the same code, asked in
-the order in which they would be. Nothing here asks a clock or draws a number that the seed does not
-fix.
+Departure clock, rate control, gate, target filter, mission, guidance, safety filter, jump watch,
+odometry feed and dead man are the code of ``drone-client fly``, asked in the order in which they
+would be. There is one worker: nothing is handed over and no probe is sent. Nothing here asks a
+clock or draws a number that the seed does not fix.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from contact_sim.flight.outcome import Outcome, Row, Witness
 from contact_sim.flight.search import searching
 from contact_sim.lockstep.eyes import Eyes
 from contact_sim.lockstep.link_model import LinkModel
+from contact_sim.lockstep.sender import Exposed, Sender
 from contact_sim.lockstep.vehicle import LockstepVehicle
-from contact_sim.lockstep.worker import RemoteWorker, WorkerSettings
+from contact_sim.lockstep.worker import NAME, RemoteWorker, WorkerSettings
 from contact_sim.scene import Scene
 from contact_sim.sensing.rgbd import RgbdModel
 from contact_sim.simulation import STEP_NS, Simulation, SimulationSettings
@@ -162,9 +163,15 @@ class LockstepFlight:
             BOOT_ID,
             gate,
             self.airframe,
-            on_heard=lambda sequence, worker, t_ns: None,
+            on_heard=lambda sequence, worker, t_ns: self.sender.heard(sequence, t_ns),
             on_result=self._on_result,
             budget=self.settings.parts.odometry.budget,
+        )
+        self.sender = Sender(
+            self.settings.parts.uplink,
+            self.settings.parts.rate,
+            lambda: self._receiver.estimate,
+            round(1e6 * (profile.up.delay_ms + profile.down.delay_ms)),
         )
         self.worker = RemoteWorker(
             self.eyes,
@@ -184,8 +191,8 @@ class LockstepFlight:
         self._given_back = False
         self._frozen_watch = FrozenWatch()
         self._noise = stream(seed, "noise of the sensor")
-        self._last_frame: RgbdFrame | None = None
-        self._last_seen: NDArray[np.uint8] | None = None
+        self._black = np.zeros((rig.color.height, rig.color.width, 3), np.uint8)
+        self._last: tuple[RgbdFrame, NDArray[np.uint8]] | None = None
 
     @property
     def phase(self) -> Phase:
@@ -222,12 +229,15 @@ class LockstepFlight:
         now_ns = self.simulation.t_ns
         if now_ns == WARM_NS:
             self.vehicle.rules.engage(now_ns)
-        self.worker.forget(now_ns)
         self.worker.deliver(now_ns)
         world_from_body = self._pose(now_ns)
         if now_ns >= self._camera_due_ns:
             self._camera_due_ns += round(1e9 / self.settings.camera_hz)
             self._expose(now_ns)
+        leaving = self.sender.next(now_ns)
+        if leaving is not None:
+            sequence, sizes = self.worker.send(leaving)
+            self.sender.sent(sequence, leaving, sizes, NAME)
         self._decide(now_ns, world_from_body)
         for _ in range(TICK_NS // (TURN_STEPS * STEP_NS)):
             self.vehicle.turn(TURN_STEPS)
@@ -243,7 +253,7 @@ class LockstepFlight:
             tuple(self.transitions),
             dict(Counter(r.judgement.verdict.value for r in self.receptions)),
             dict(Counter(r.update.value for r in self.receptions if r.update is not None)),
-            dict(self.worker.counts),
+            dict(self.worker.counts + self.sender.counts),
             tuple(self.witness.rows),
             tuple(self.ticks),
         )
@@ -257,29 +267,27 @@ class LockstepFlight:
     def _expose(self, now_ns: int) -> None:
         truth = self.simulation.truth.world_from_body @ self.airframe.body_from_camera
         camera_from_target = truth.inverse() @ self.scene.world_from_target
-        if not self.worker.free:
-            self.worker.counts["superseded_on_board"] += 1
-            return
-        frame = None
+        frame = self._take(now_ns)
         # Without pictures a few numbers of noise stand for one: they differ as exposures do
         seen = self._noise.integers(0, 255, (4, 4, 3), np.uint8)
-        if self.frozen and self._last_seen is not None:
-            frame, seen = self._last_frame, self._last_seen
-        elif self._camera is not None:
-            picture = self._camera.take(self.simulation.snapshot())
-            seen = picture.color_rgb
-            frame = RgbdFrame(
-                color_rgb=picture.color_rgb,
-                depth_units=picture.depth_units,
-                camera=self._rig,
-                t_capture_ns=now_ns,
-                world_from_camera=self._camera_at(now_ns),
-            )
-        self._last_frame, self._last_seen = frame, seen
+        if self._camera is not None:
+            seen = frame.color_rgb
+        if self.frozen and self._last is not None:
+            last, seen = self._last
+            frame = replace(last, t_capture_ns=now_ns, world_from_camera=frame.world_from_camera)
+        self._last = frame, seen
         if self._frozen_watch.see(seen):
             self.worker.counts["frozen"] += 1
             return
-        self.worker.send(now_ns, frame, camera_from_target)
+        self.sender.submit(Exposed(frame, camera_from_target))
+
+    def _take(self, now_ns: int) -> RgbdFrame:
+        """What the camera gives; black where nobody looks."""
+        color_rgb, depth_units = self._black, None
+        if self._camera is not None:
+            picture = self._camera.take(self.simulation.snapshot())
+            color_rgb, depth_units = picture.color_rgb, picture.depth_units
+        return RgbdFrame(color_rgb, depth_units, self._rig, now_ns, self._camera_at(now_ns))
 
     def _keep_pose(self, t_ns: int, world_from_body: Pose) -> None:
         late_ns = ARRIVAL_NS if self.settings.composes_now else 0
@@ -322,7 +330,7 @@ class LockstepFlight:
 
     def _on_result(self, reception: Reception) -> None:
         self.receptions.append(reception)
-        self.worker.answered(reception.result.sequence, reception.result.outcome)
+        self.worker.counts[reception.result.outcome.value] += 1
 
     def _on_jump(self, jump: Jump) -> None:
         self._receiver.begin_epoch(jump.t_ns)

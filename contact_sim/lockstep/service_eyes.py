@@ -13,6 +13,7 @@ from typing import Final, Self
 
 from contact_sim.errors import ServiceError
 from contact_sim.lockstep.eyes import Look
+from drone_client.encoding_choice import ChosenEncoding
 from drone_client.errors import ClientError
 from drone_client.link import Link
 from drone_client.link.choose import open_link
@@ -21,7 +22,7 @@ from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.envelope import Kind, unseal
 from rgbd_wire.errors import DecodeError
 from rgbd_wire.frame import RgbdFrame
-from rgbd_wire.frame_codec import FrameStamp, compress, pack
+from rgbd_wire.frame_codec import BEST, FrameStamp, compress, pack
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import Result, decode_result
 
@@ -72,30 +73,30 @@ class ServiceEyes:
         self._link.close()
 
     def look(
-        self, sequence: int, t_capture_ns: int, frame: RgbdFrame | None, camera_from_target: Pose
+        self, frame: RgbdFrame, camera_from_target: Pose, chosen: ChosenEncoding | None = None
     ) -> Look:
         """What the worker says of a frame.
 
         Raises:
             ServiceError: nothing, for too long, or there is no worker any more.
         """
-        if frame is None:
-            raise ServiceError("a service looks at pictures, and the frame has none")
         workers = self._link.workers()
         if not workers:
             raise ServiceError("the service has gone: no worker is left")
         # A number of its own: a worker takes none twice, and flights count from zero
         number, self._next = self._next, self._next + 1
         stamp = FrameStamp(self._drone, self._boot_id, number, self._clock.now_ns(), BUDGET_NS)
-        message = pack(compress(frame), stamp)
+        compressed = compress(frame, BEST if chosen is None else chosen.encoding)
+        message = pack(compressed, stamp)
         with self._changed:
             self._results.clear()
         self._link.send(workers[0], message, BUDGET_NS)
         with self._changed:
             if not self._changed.wait_for(lambda: number in self._results, ANSWER_S):
-                raise ServiceError(f"no answer to frame {sequence} within {ANSWER_S:g} s")
+                raise ServiceError(f"no answer to a frame within {ANSWER_S:g} s")
             result = self._results.pop(number)
-        return Look(result.outcome, result.target, len(message))
+        sizes = len(message), len(compressed.color), compressed.depth.size_bytes
+        return Look(result.outcome, result.target, sizes)
 
     def _on_workers(self) -> None:
         with self._changed:

@@ -1,4 +1,4 @@
-"""The way of a frame in lockstep: window, link, worker, link, and back into the client's gate.
+"""The way of a frame in lockstep: link, worker, link, and back into the client's gate.
 
 Every answer goes through the client's real ``Receiver`` as the bytes that a worker sends, with
 stamps of simulated time.
@@ -15,11 +15,10 @@ import numpy as np
 
 from contact_sim.lockstep.eyes import Eyes, Look
 from contact_sim.lockstep.link_model import LinkModel
+from contact_sim.lockstep.sender import Leaving
 from drone_client.gate import SentFrame
 from drone_client.reception import Receiver
-from rgbd_wire.frame import RgbdFrame
-from rgbd_wire.geometry import Pose
-from rgbd_wire.messages import Ack, Outcome, Result, seal_ack, seal_result
+from rgbd_wire.messages import Ack, Result, seal_ack, seal_result
 
 NAME: Final = "worker"
 BOOT_ID: Final = 7
@@ -30,16 +29,12 @@ WORKER_EPOCH_NS: Final = 5_000_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class WorkerSettings:
-    """How long things take, and how many frames may be on their way."""
+    """How long it takes."""
 
-    encode_ns: int = 15_000_000
     work_ns: int = 45_000_000
     """Median of decode, detection and localisation."""
     spread: float = 0.25
     """Standard deviation of the logarithm of that."""
-    window: int = 2
-    reply_timeout_ns: int = 600_000_000
-    """An answer that has not come by then frees its place in the window."""
 
 
 class RemoteWorker:
@@ -71,53 +66,44 @@ class RemoteWorker:
         self._settings = settings or WorkerSettings()
         self._sequence = 0
         self._busy_until_ns = 0
-        self._on_way: dict[int, int] = {}
-        """When each frame left that is not answered."""
         self._arrivals: list[tuple[int, int, int, bytes]] = []
         """When each message arrives and left, and its number, which keeps them in order."""
-
-    @property
-    def free(self) -> bool:
-        """Whether the window has room."""
-        return len(self._on_way) < self._settings.window
 
     def kill(self, now_ns: int | None) -> None:
         """Kill it; None: it is there again."""
         self.killed_ns = now_ns
 
-    def forget(self, now_ns: int) -> None:
-        """Give up answers that have not come for too long."""
-        limit_ns = now_ns - self._settings.reply_timeout_ns
-        for sequence in [s for s, t_ns in self._on_way.items() if t_ns < limit_ns]:
-            del self._on_way[sequence]
-            self.counts["unanswered"] += 1
+    def send(self, leaving: Leaving) -> tuple[int, tuple[int, int, int]]:
+        """A frame leaves: it is sent, looked at and answered, as far as it gets.
 
-    def send(self, t_capture_ns: int, frame: RgbdFrame | None, camera_from_target: Pose) -> None:
-        """A frame leaves: it is coded, sent, looked at and answered, as far as it gets."""
+        Returns:
+            Its number, and what it weighs: ``Look.sizes``.
+        """
         s = self._settings
         sequence, self._sequence = self._sequence, self._sequence + 1
-        t1_ns = t_capture_ns + s.encode_ns
+        frame, t1_ns = leaving.exposed.frame, leaving.t1_ns
+        t_capture_ns = frame.t_capture_ns
         self.counts["sent"] += 1
-        look = self._eyes.look(sequence, t_capture_ns, frame, camera_from_target)
+        look = self._eyes.look(frame, leaving.exposed.camera_from_target, leaving.chosen)
         # Chance is drawn alike whatever becomes of the frame: faults change nothing else
         work_ns = round(s.work_ns * float(np.exp(s.spread * self._rng.standard_normal())))
-        self._on_way[sequence] = t1_ns
         self._receiver.sending(SentFrame(sequence, t_capture_ns, t1_ns, NAME))
-        up = self._link.up.send(look.size_bytes, t1_ns)
+        up = self._link.up.send(look.sizes[0], t1_ns)
         if up.arrives_ns is None or self.killed_ns is not None:
             self.counts["lost"] += 1
-            return
+            return sequence, look.sizes
         ack = seal_ack(Ack(self._drone, self._boot_id, sequence, NAME, BOOT_ID))
         self._pass_down(ack, up.arrives_ns, 100)
         if self.hangs:
             self.counts["hung"] += 1
-            return
+            return sequence, look.sizes
         begins_ns = max(up.arrives_ns, self._busy_until_ns)
         self._busy_until_ns = begins_ns + work_ns
         result = self._result(
             sequence, t_capture_ns, t1_ns, up.arrives_ns, self._busy_until_ns, look
         )
         self._pass_down(seal_result(result), self._busy_until_ns, RESULT_BYTES)
+        return sequence, look.sizes
 
     def deliver(self, now_ns: int) -> None:
         """Hand the client what has arrived by now."""
@@ -128,11 +114,6 @@ class RemoteWorker:
                 self.counts["answers_lost"] += 1
                 continue
             self._receiver.on_message(message, t4_ns)
-
-    def answered(self, sequence: int, outcome: Outcome) -> None:
-        """The client has an answer: its place in the window is free."""
-        if self._on_way.pop(sequence, None) is not None:
-            self.counts[outcome.value] += 1
 
     def _pass_down(self, message: bytes, now_ns: int, size_bytes: int) -> None:
         down = self._link.down.send(size_bytes, now_ns)

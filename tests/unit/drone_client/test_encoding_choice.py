@@ -41,7 +41,8 @@ def choose(estimate, goodput, t_ns=100 * MS, world_from_camera=HERE):
     """The choice for a frame, after one at its best has been weighed."""
     choice = EncodingChoice(RateSettings(80 * MS), lambda: estimate)
     first = choice.choose(frame(0, world_from_camera), 0, None)
-    choice.weighed(first, compress(frame(0, world_from_camera), first.encoding))
+    compressed = compress(frame(0, world_from_camera), first.encoding)
+    choice.weighed(first, len(compressed.color), compressed.depth.size_bytes)
     return choice.choose(frame(t_ns, world_from_camera), t_ns, goodput)
 
 

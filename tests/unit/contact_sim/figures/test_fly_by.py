@@ -103,9 +103,9 @@ class BlindEyes:
 
     needs_pictures = True
 
-    def look(self, sequence, t_capture_ns, frame, camera_from_target) -> Look:
+    def look(self, frame, camera_from_target, chosen=None) -> Look:
         assert frame is not None
-        return Look(Outcome.NOTHING_FOUND, None, 1)
+        return Look(Outcome.NOTHING_FOUND, None, (3, 1, 1))
 
 
 def test_a_blind_service_counts_nothing(bench):

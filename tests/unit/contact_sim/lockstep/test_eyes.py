@@ -7,12 +7,18 @@ import pytest
 
 from contact_sim.chance import stream
 from contact_sim.lockstep.eyes import EyesSettings, ModelEyes
+from contact_sim.sensing import d455
+from drone_client.encoding_choice import EncodingChoice
+from drone_client.rate_control import RateSettings
 from rgbd_wire.camera import CameraIntrinsics
+from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.geometry import Pose, rotation_from_vector
 from rgbd_wire.messages import Outcome, pose_of, unpack_covariance
 
 COLOR = CameraIntrinsics(640, 480, 385.0, 385.0, 319.5, 239.5)
 SURE = EyesSettings(found=1.0)
+RIG = d455()
+BLACK = RgbdFrame(np.zeros((480, 640, 3), np.uint8), None, RIG, 0, None)
 
 
 def board(x: float = 0.0, y: float = 0.0, z: float = 1.0, turned_rad: float = 0.0) -> Pose:
@@ -26,7 +32,7 @@ def look(at: Pose, seed: int = 0, settings: EyesSettings = SURE, **flags: bool):
     eyes = ModelEyes(COLOR, stream(seed, "eyes"), settings)
     for name, value in flags.items():
         setattr(eyes, name, value)
-    return eyes.look(0, 0, None, at)
+    return eyes.look(BLACK, at)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +67,7 @@ def test_the_share_that_is_found_is_the_settings() -> None:
     for dark, share in ((False, 0.95), (True, 0.57)):
         eyes = ModelEyes(COLOR, stream(2, "eyes"))
         eyes.dark = dark
-        hits = [eyes.look(i, 0, None, board()).target is not None for i in range(4000)]
+        hits = [eyes.look(BLACK, board()).target is not None for _ in range(4000)]
         assert np.mean(hits) == pytest.approx(share, abs=0.02)
 
 
@@ -81,3 +87,17 @@ def test_its_covariance_is_honest(range_m: float) -> None:
         turned.append(np.arccos(np.clip(cosine, -1, 1)) ** 2 / covariance[3, 3])
     assert np.mean(place) == pytest.approx(3.0, rel=0.1)
     assert np.mean(turned) == pytest.approx(3.0, rel=0.1)
+
+
+def test_a_leaner_encoding_weighs_less() -> None:
+    """What the ladder says of its rungs; the best weighs what was measured."""
+    choice = EncodingChoice(RateSettings(80_000_000), lambda: None)
+    eyes = ModelEyes(COLOR, stream(0, "eyes"), SURE)
+    sizes = []
+    for goodput in (None, 1e7, 3e5, 1e5):
+        chosen = choice.choose(BLACK, len(sizes), goodput)
+        look = eyes.look(BLACK, board(), chosen)
+        choice.weighed(chosen, *look.sizes[1:])
+        sizes.append(look.sizes[0])
+    assert sizes[0] == sizes[1] == eyes.look(BLACK, board()).sizes[0]
+    assert sizes[1] > 2 * sizes[2] > 2 * sizes[3]
