@@ -17,6 +17,8 @@ BOARD: Final = "board"
 MOUTH_M: Final = Funnel().r_c_m
 """Radius of the funnel's mouth: contact is allowed inside it."""
 TRACK_NS: Final = 20_000_000
+RISEN_NS: Final = 200_000_000
+"""A drone that has touched nothing for so long flies; what it stood on before is no collision."""
 MAX_TRACK: Final = 100_000
 """Rows of the track: over half an hour."""
 
@@ -87,6 +89,8 @@ class Witness:
         self._forces: list[float] = []
         self._outside_m = 0.0
         self._collisions: dict[str, None] = {}
+        self._stands_ns: int | None = 0
+        """When it was last seen to stand where it starts; None: it has risen."""
         self._nearest_m = math.inf
         self._touching_turns = 0
 
@@ -105,7 +109,8 @@ class Witness:
         beside_m = math.hypot(float(tip_target[1]), float(tip_target[2]))
         if truth.tip_force_n > 0.0 and beside_m > MOUTH_M:
             self._outside_m = max(self._outside_m, truth.arm_m)
-        for touch in truth.touches:
+        flies = not self._stands(simulation)
+        for touch in truth.touches if flies else ():
             if touch.part == TIP and touch.other == BOARD:
                 continue
             self._collisions.setdefault(f"{touch.part} on {touch.other}")
@@ -116,6 +121,16 @@ class Witness:
             self._touching_turns += 1
         if due:
             self._add_row(simulation, (x, y, z), forward)
+
+    def _stands(self, simulation: Simulation) -> bool:
+        """Whether the drone has not risen yet from where it was put."""
+        if self._stands_ns is None:
+            return False
+        if simulation.truth.touches:
+            self._stands_ns = simulation.t_ns
+        elif simulation.t_ns - self._stands_ns >= RISEN_NS:
+            self._stands_ns = None
+        return self._stands_ns is not None
 
     def _add_row(
         self, simulation: Simulation, tip_target: tuple[float, float, float], forward: Array

@@ -134,7 +134,7 @@ class Estimate:
 
 
 class Pilot:
-    """Holds a place, and a heading, in NED."""
+    """Holds a place, or flies a velocity where there is none to hold, and a heading, in NED."""
 
     def __init__(self):
         self.goal = None
@@ -144,7 +144,7 @@ class Pilot:
 
     def motors(self, e, dt):
         rows = matrix(e.q)
-        off = add(self.goal, e.p, -1.0)
+        off = (0.0, 0.0, 0.0) if self.goal is None else add(self.goal, e.p, -1.0)
         wanted = tuple(clip(1.2 * c, 0.6) for c in off)
         miss = add(add(wanted, self.goal_v), e.v, -1.0)
         self.lift = tuple(clip(i + 0.6 * dt * c, 2.0) for i, c in zip(self.lift, miss, strict=True))
@@ -177,7 +177,7 @@ class Peer:
     def __init__(self, options):
         self.options = options
         host, _, port = options.connect.rpartition(":")
-        give_up = time.monotonic() + 30.0
+        give_up = time.monotonic() + 120.0
         while True:
             try:
                 self.socket = socket.create_connection((host, int(port)), timeout=60.0)

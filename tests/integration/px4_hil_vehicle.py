@@ -14,9 +14,12 @@ import json
 import math
 
 from px4_hil_peer import Peer as Flyer
-from px4_hil_peer import add, matrix
+from px4_hil_peer import matrix
 from px4_peer import Peer as Rules
 from px4_peer import udp_ends
+
+HOVERS_US = 5_000_000
+"""After arming: it has climbed, and stands."""
 
 
 class Vehicle(Rules):
@@ -31,6 +34,11 @@ class Vehicle(Rules):
     def now(self):
         return self.sim_s
 
+    def send(self, message):
+        if message.get_type() == "ODOMETRY":
+            message.q = list(self.flyer.estimate.q)  # the rules know a heading alone
+        super().send(message)
+
     def on_odometry(self, message):
         super().on_odometry(message)
         self.flyer.estimate.vio(message)
@@ -43,6 +51,7 @@ class Both(Flyer):
         super().__init__(options)
         self.vehicle = Vehicle(options)
         self.vehicle.flyer = self
+        self.hovers = False
         _, self.vehicle.out, self.read = udp_ends(self.vehicle, options.udp)
 
     def motors(self, t_us):
@@ -63,14 +72,20 @@ class Both(Flyer):
         return controls
 
     def aim(self, t_us):
-        """Climb as ever; then hold, and in OFFBOARD move what is held."""
-        if t_us - self.armed_us < 5e6:
+        """Climb as ever and hold; in OFFBOARD fly what is heard, and hold where that ended."""
+        pilot, (velocity, yaw_rate) = self.pilot, self.vehicle.wanted
+        if t_us - self.armed_us < HOVERS_US:
             super().aim(t_us)
             return
-        velocity, yaw_rate = self.vehicle.wanted
-        self.pilot.goal_v = tuple(velocity)
-        self.pilot.goal = add(self.pilot.goal, velocity, 0.004)
-        self.pilot.yaw += 0.004 * yaw_rate
+        if not self.hovers:
+            self.hovers = True
+            print("hovers", flush=True)
+        pilot.goal_v = tuple(velocity)
+        pilot.yaw += 0.004 * yaw_rate
+        if self.vehicle.mode == "OFFBOARD":
+            pilot.goal = None
+        elif pilot.goal is None:
+            pilot.goal = self.estimate.p
 
     def listen(self):
         while True:

@@ -102,7 +102,7 @@ class Flight:
         """What the stand-in says of it."""
         self.outside.close()
         said, _ = self.process.communicate(timeout=GIVE_UP_S)
-        return json.loads(said)
+        return json.loads(said.splitlines()[-1])
 
     def close(self) -> None:
         self.outside.close()

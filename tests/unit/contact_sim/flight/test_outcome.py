@@ -13,6 +13,8 @@ from tests.unit.contact_sim.flights import BOARD as WORLD_FROM_TARGET
 from tests.unit.contact_sim.flights import BOARD_X_M, HEIGHT_M, REACH_M, Pilot, simulation
 
 TURN_S = 0.004
+ON_THE_FLOOR_M = 0.02
+"""Height of a body whose lowest part is in the floor."""
 
 
 def watched(sim, seconds: float, witness: Witness | None = None) -> Witness:
@@ -81,3 +83,17 @@ def test_the_clients_contact_is_the_witnesses_too() -> None:
     assert outcome.end_m > 0.8
     assert len(witness.rows) == pytest.approx(outcome.flown_s / 0.02, rel=0.05)
     assert max(abs(row.yaw_error_rad) for row in witness.rows[-100:]) < 0.05
+
+
+def test_the_ground_that_it_rises_from_is_no_collision_and_the_one_it_falls_on_is() -> None:
+    """It is put down with its feet on the floor, rises, and is flown into the floor again."""
+    sim, witness = simulation(start=(1.0, 0.0, ON_THE_FLOOR_M)), Witness(WORLD_FROM_TARGET)
+    watched(sim, 0.02, witness)
+    assert sim.truth.touches
+    sim.set_velocity((0.0, 0.0, 0.5), 0.0)
+    watched(sim, 2.0, witness)
+    assert not sim.truth.touches
+    assert witness.outcome(sim, TURN_S).collisions == ()
+    sim.set_velocity((0.0, 0.0, -0.5), 0.0)
+    watched(sim, 3.0, witness)
+    assert any(c.endswith(" on floor") for c in witness.outcome(sim, TURN_S).collisions)

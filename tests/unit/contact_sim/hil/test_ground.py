@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -49,7 +48,9 @@ def test_it_is_put_down_level():
 
 
 def test_without_ground_it_cannot_begin():
-    """A world of nothing."""
-    scene = replace(plain_scene(), spec=mujoco.MjSpec())
+    """Somebody put it under the floor."""
+    scene = replace(
+        plain_scene(), world_from_body=Pose.from_rotation(np.eye(3), np.array([0.0, 0.0, -5.0]))
+    )
     with pytest.raises(VehicleError, match="no ground below the start of world plain"):
         on_the_ground(scene)
