@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain, repeat
 
 import numpy as np
 
@@ -11,5 +12,5 @@ BLOCK = 4096
 
 def normals(rng: np.random.Generator) -> Iterator[float]:
     """Standard normal numbers without end, drawn from the generator in blocks."""
-    while True:
-        yield from rng.standard_normal(BLOCK).tolist()
+    blocks = (rng.standard_normal(BLOCK).tolist() for _ in repeat(None))
+    return chain.from_iterable(blocks)

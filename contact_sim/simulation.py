@@ -8,7 +8,9 @@ velocity loop, rotors and wind run at every second one, VIO and lidars at their 
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import mujoco
@@ -118,32 +120,29 @@ class Simulation:
         self.scene = scene
         self.airframe = airframe
         self.rig = rig
-        self.vio: OdometrySample | None = None
-        """The newest of the VIO; stamps here and below are simulated time."""
+        self._vio_says: Moving | None = None
+        self._vio: OdometrySample | None = None
         self.height: RangeSample | None = None
-        """The newest of the lidar that looks down."""
+        """The newest of the lidar that looks down; stamps are simulated time."""
         self.ahead: RangeSample | None = None
         """The newest of the lidar that looks forward."""
         # MuJoCo would write its warnings into a file in whatever folder this runs in.
         mujoco.set_mju_user_warning(_tell)
-        spec = scene.spec.copy()
-        add_drone(spec, airframe, rig, scene.world_from_body)
-        self.model = spec.compile()
-        """Of world and drone; a renderer draws it with a state of its own, from snapshots."""
-        self._data = mujoco.MjData(self.model)
-        self._body = Body(self.model, self._data)
+        self._model = model = self._with_drone(scene.bare)
+        self._data = mujoco.MjData(model)
+        self._body = Body(model, self._data)
         self._mixer = Mixer.of(rotor_places(airframe))
         self._craft = Craft(MASS_KG, 4.0 * MAX_THRUST_N, self._mixer.authority_nm)
         if not self.settings.rotors_from_outside:
             self._body.spin_up(0.25 * MASS_KG * velocity_loop.GRAVITY_MPS2)
-        mujoco.mj_forward(self.model, self._data)
+        mujoco.mj_forward(model, self._data)
 
         self._steps = 0
         self._truth: Truth | None = None
         self._setpoint = Setpoint()
         self._thrusts: Thrusts = (0.0, 0.0, 0.0, 0.0)
         self._wind_world = self.settings.wind.mean_world
-        self.contacts = Contacts(self.model)
+        self.contacts = Contacts(model)
         self.wind = Wind(self.settings.wind, stream(seed, "wind"))
         drag = self.wind.drag(self._wind_world, (0.0, 0.0, 0.0))
         # Whoever hovered until now has learned to lean against the wind.
@@ -155,7 +154,7 @@ class Simulation:
         self._imu_sample: ImuSample | None = None
         start = self._moving()
         self.vio_camera = Vio(self.settings.vio, stream(seed, "vio"), start)
-        lidar, model = self.settings.lidar, self.model
+        lidar = self.settings.lidar
         self._down = Lidar(
             lidar, stream(seed, "lidar_down"), model, "drone/lidar_down", looks_down=True
         )
@@ -169,6 +168,20 @@ class Simulation:
             self.settings.estimator, 0, scene.world_from_body, accel_bias, gyro_bias
         )
         self._lamps_out: frozenset[str] = frozenset()
+
+    def _with_drone(self, world: mujoco.MjSpec) -> mujoco.MjModel:
+        spec = world.copy()
+        add_drone(spec, self.airframe, self.rig, self.scene.world_from_body)
+        return spec.compile()
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """Of world and drone as they look, made when it is first asked for.
+
+        For renderers, which draw it with a state of their own, from snapshots; what is stepped is
+        the same without textures.
+        """
+        return self._with_drone(self.scene.spec)
 
     @property
     def t_ns(self) -> int:
@@ -187,7 +200,7 @@ class Simulation:
             if self._steps % CONTROL_STEPS == 0:
                 self._control()
             before = self._state
-            mujoco.mj_step(self.model, self._data)
+            mujoco.mj_step(self._model, self._data)
             self._state = self._body.read()
             if not is_bounded(self._state.position_world, FARTHEST_M):
                 raise VehicleError(
@@ -210,7 +223,7 @@ class Simulation:
         Raises:
             VehicleError: a number is none, or absurd.
         """
-        x, y, z = (float(c) for c in velocity_world)
+        x, y, z = map(float, velocity_world)
         rate = float(yaw_rate_radps)
         if not is_bounded((x, y, z), MAX_COMMAND) or not abs(rate) <= MAX_COMMAND:
             raise VehicleError(
@@ -266,9 +279,22 @@ class Simulation:
         self._lamps_out |= {name}
 
     @property
+    def vio(self) -> OdometrySample | None:
+        """The newest of the VIO, the same one as long as there is no newer."""
+        says = self._vio_says
+        if says is not None and (self._vio is None or self._vio.t_ns != says.t_ns):
+            self._vio = says.sample
+        return self._vio
+
+    @property
     def estimate(self) -> Estimate:
         """What the autopilot believes, in the odometry's world."""
         return self._estimator.estimate()
+
+    @property
+    def drift_m(self) -> float:
+        """How far what the autopilot believes of its place is from where it is."""
+        return math.dist(self._estimator.position, self._state.position_world)
 
     @property
     def truth(self) -> Truth:
@@ -332,10 +358,10 @@ class Simulation:
         if t_ns >= self._vio_due_ns:
             self._vio_due_ns += self.settings.vio.period_ns
             self.vio_camera.measure(self._moving())
-        while (sample := self.vio_camera.due(t_ns)) is not None:
-            self.vio = sample
+        while (says := self.vio_camera.due(t_ns)) is not None:
+            self._vio_says = says
             if self.settings.feeds_itself:
-                self._estimator.feed(sample)
+                self._estimator.feed(says.sample)
         if t_ns >= self._lidar_due_ns:
             self._lidar_due_ns += self.settings.lidar.period_ns
             s = self._state

@@ -20,7 +20,7 @@ from drone_client.cbf.filter import FilterInput, SafeCommand, filter_command
 from drone_client.cbf.freshness import freshness
 from drone_client.cbf.keep_out import KeepOut, Rotation
 from drone_client.cbf.settings import FilterSettings
-from drone_client.cbf.vector import Vec3, cross
+from drone_client.cbf.vector import Vec3, cross, moved, scaled
 from drone_client.guidance import TO_CONTACT, GuidanceSettings, guide, yaw_error_rad
 from drone_client.mission import (
     Intent,
@@ -34,8 +34,6 @@ from drone_client.mission import (
 )
 from drone_client.target import Source, TargetEstimate
 from rgbd_wire.geometry import Array, Pose, vec3
-
-UP_WORLD = np.array([0.0, 0.0, 1.0])
 
 
 class Known(StrEnum):
@@ -119,11 +117,12 @@ def decide(
     if mission is not None:
         observation = _observe(now_ns, estimate, world_from_body, scene, settings, mission.senses)
         state, intent = step(mission.state, observation, settings.mission)
-        state = replace(state, told=Told())
 
     # Where nothing may be flown by, the drone stands; a search turns meanwhile.
     command = VelocityCommand(np.zeros(3), intent.yaw_rate_radps, now_ns)
+    told = Told()
     if estimate is None:
+        state = _heard(state, told)
         return Decision(command, Known.NO_TARGET, None, None, None, mission=state, intent=intent)
     age_ns, unconfirmed_ns = now_ns - estimate.t_capture_ns, estimate.unconfirmed_ns(now_ns)
     known = Known.NO_POSE if scene is None else Known.TARGET
@@ -145,15 +144,17 @@ def decide(
                     unconfirmed_ns=unconfirmed_ns,
                     keep_outs=settings.keep_outs,
                     target_from_body=_rows(scene.target_from_body.rotation),
-                    target_from_world=_rows(scene.world_from_target_rotation.T),
+                    target_from_world=scene.target_from_world_rotation,
                     world_origin_target=scene.world_origin_target,
                 ),
                 settings.filter,
             )
-            velocity_world = scene.world_from_target_rotation @ np.array(safe.velocity_body_target)
-            command = VelocityCommand(velocity_world, safe.yaw_rate_radps, now_ns)
-            if state is not None:
-                state = replace(state, told=_told(safe, scene))
+            velocity_world = _turned_back(
+                scene.target_from_world_rotation, safe.velocity_body_target
+            )
+            command = VelocityCommand(np.array(velocity_world), safe.yaw_rate_radps, now_ns)
+            told = _told(safe, scene)
+    state = _heard(state, told)
     return Decision(
         command, known, age_ns, safe, tip_target, estimate.source, unconfirmed_ns, state, intent
     )
@@ -165,7 +166,7 @@ class _Scene(NamedTuple):
     target_from_tip: Pose
     target_from_body: Pose
     world_origin_target: Vec3
-    world_from_target_rotation: Array  # (3, 3)
+    target_from_world_rotation: Rotation
     tip_target: Vec3
     tip_world: Vec3
     lever_arm_target: Vec3
@@ -177,15 +178,17 @@ def _scene(estimate: TargetEstimate, world_from_body: Pose, airframe: Airframe) 
     target_from_world = estimate.world_from_target.inverse()
     target_from_body = target_from_world @ world_from_body
     target_from_tip = target_from_body @ airframe.body_from_tip
+    rotation = _rows(target_from_world.rotation)
+    tip_target = vec3(target_from_tip.translation)
     return _Scene(
         target_from_tip,
         target_from_body,
         vec3(target_from_world.translation),
-        target_from_world.rotation.T,
-        vec3(target_from_tip.translation),
+        rotation,
+        tip_target,
         vec3(world_from_body @ airframe.body_from_tip.translation),
-        vec3(target_from_tip.translation - target_from_body.translation),
-        vec3(target_from_world.rotation @ UP_WORLD),
+        moved(tip_target, vec3(target_from_body.translation), -1.0),
+        (rotation[0][2], rotation[1][2], rotation[2][2]),
         float(airframe.body_from_tip.translation[0]),
     )
 
@@ -208,7 +211,7 @@ def _observe(
         seen = Seen(
             tip_target=scene.tip_target,
             tip_world=scene.tip_world,
-            axis_world=vec3(scene.world_from_target_rotation[:, 0]),
+            axis_world=scene.target_from_world_rotation[0],
             yaw_error_rad=yaw_error_rad(
                 vec3(scene.target_from_tip.rotation[:, 0]), scene.up_target
             ),
@@ -232,6 +235,16 @@ def stop_command(now_ns: int) -> VelocityCommand:
     return VelocityCommand(np.zeros(3), 0.0, now_ns)
 
 
+def _heard(state: MissionState | None, told: Told) -> MissionState | None:
+    """The mission with the filter's answer for its next tick."""
+    return None if state is None else replace(state, told=told)
+
+
 def _rows(rotation: Array) -> Rotation:
-    a, b, c = rotation
-    return vec3(a), vec3(b), vec3(c)
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    return (a, b, c), (d, e, f), (g, h, i)
+
+
+def _turned_back(b_from_a: Rotation, v_b: Vec3) -> Vec3:
+    """A vector of ``b`` in ``a``."""
+    return moved(moved(scaled(b_from_a[0], v_b[0]), b_from_a[1], v_b[1]), b_from_a[2], v_b[2])

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any, Final
 
+from drone_client.errors import OutputError
 from drone_client.flight import Flight
 from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, ONBOARD_NAME, TICKS_NAME, Ledger
 from drone_client.link import Link
@@ -14,8 +16,30 @@ from drone_client.plot import PLOT_NAME, plot_run
 from drone_client.settings import ClientSettings
 from drone_client.summary import read_lines, summarise
 from drone_client.truth import TruthEntry
+from drone_client.viewing.whole_file import write_whole
 
 SUMMARY_NAME: Final = "summary.json"
+
+
+def check_folder(folder: Path, *, overwrite: bool) -> None:
+    """See, before anything is started, whether a run may be written there; touches nothing.
+
+    Raises:
+        OutputError: it may not, or holds an earlier run that ``overwrite`` does not let go.
+    """
+    earlier = folder / LEDGER_NAME
+    try:
+        if not overwrite and earlier.exists() and earlier.stat().st_size:
+            raise OutputError(
+                f"folder {folder} holds an earlier run: give another --out, or --overwrite"
+            )
+        there = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    except OSError as error:
+        raise OutputError(f"folder {folder}: {error.strerror}") from None
+    if not there.is_dir():
+        raise OutputError(f"folder {folder}: {there} is a file")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise OutputError(f"folder {folder}: {there} cannot be written")
 
 
 def take_down(flight: Flight, link: Link) -> dict[str, Any]:
@@ -75,7 +99,7 @@ def report(
         summary["onboard"]["taken_back"] = flight.own_eyes.contradicted
     try:
         text = json.dumps(summary, indent=2) + "\n"
-        (folder / SUMMARY_NAME).write_text(text, encoding="utf-8")
+        write_whole(folder / SUMMARY_NAME, text.encode())
     except OSError as error:
         summary["unwritten"].append(f"{folder / SUMMARY_NAME}: {error.strerror}")
     if plot:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -90,9 +91,9 @@ class Update(StrEnum):
     """The exposure was before the odometry jumped, in a world that is no more: not used."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class TargetEstimate:
-    """Where the target is believed to be."""
+    """Where the target is believed to be; asked at every tick, and new with every result alone."""
 
     world_from_target: Pose
     covariance: Array  # (6, 6)
@@ -112,12 +113,12 @@ class TargetEstimate:
     budget: OdometryBudget = USUAL_BUDGET
     """What its covariance counts for the odometry."""
 
-    @property
+    @cached_property
     def sigma_m(self) -> float:
         """Standard deviation of the position along its worst axis [m]."""
         return float(np.sqrt(max(0.0, np.linalg.eigvalsh(self.covariance[:3, :3])[-1])))
 
-    @property
+    @cached_property
     def seen_sigma_m(self) -> float:
         """The same without the doubt that grows while nobody confirms: what was measured.
 

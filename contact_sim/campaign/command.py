@@ -21,6 +21,7 @@ from contact_sim.errors import CampaignError
 from contact_sim.flight.service import ServiceProcess
 from contact_sim.lockstep.service_eyes import ServiceEyes
 from contact_sim.scene import BOARDS, WORLDS
+from contact_sim.sensing.gl import choose_gl
 from link_emulator.errors import EmulatorError
 from link_emulator.profiles import PROFILES, profile
 
@@ -105,6 +106,8 @@ def campaign(
     processes = jobs or os.cpu_count() or 1
     chosen = ABLATIONS if ablations else ()
     plan(worlds, seeds, kinds, chosen, board, link, connect)
+    if eyes is EyesName.SERVICE:
+        choose_gl()
     with ExitStack() as stack:
         table = Table(out / TABLE_NAME, goes_on=resume, overwrites=overwrite)
         stack.callback(table.close)

@@ -23,6 +23,8 @@ RUN_1: Final = ("tunnel", 3)
 RUN_2: Final = ("refinery", 18)
 """Starts inside."""
 QUICK_FLIGHTS: Final = 2
+MODEL_WORDS: Final = "with a localiser's measured errors instead of pictures"
+SERVICE_WORDS: Final = "with pictures through a real service"
 
 
 class FigureBench:
@@ -99,9 +101,15 @@ class FigureBench:
     @property
     def eyes_words(self) -> str:
         """Who looked in runs 1 and 2, for a caption."""
-        if self._pictures:
-            return "pictures through a real service"
-        return "a localiser's measured errors instead of pictures"
+        return SERVICE_WORDS if self._pictures else MODEL_WORDS
+
+    @property
+    def many_eyes_words(self) -> str:
+        """Who looked in the many, for a caption."""
+        eyes = {row.eyes for row in self.many}
+        if eyes == {"model"}:
+            return MODEL_WORDS
+        return SERVICE_WORDS if eyes == {"service"} else f"{MODEL_WORDS}, some {SERVICE_WORDS}"
 
     @cached_property
     def many(self) -> list[FlightRow]:

@@ -27,6 +27,12 @@ class FigureEntry:
     module: str
     paper: bool
     """The paper has it."""
+    of_runs: bool = False
+    """It shows runs 1 and 2."""
+    drawn: bool = False
+    """It needs drawn pictures, and so OpenGL."""
+    of_many: bool = False
+    """It shows many flights, of a campaign's table or flown for it."""
 
     def draw(self, bench: FigureBench) -> tuple[Any, str]:
         """Draw it; its module is imported now."""
@@ -35,16 +41,30 @@ class FigureEntry:
 
 
 CATALOGUE: Final = (
-    FigureEntry("cbf-boundary", "The boundary and the two runs", "cbf_boundary", paper=True),
-    FigureEntry("barrier", "The barrier over time", "barrier", paper=True),
-    FigureEntry("pose-errors", "Errors in position and yaw", "pose_errors", paper=True),
-    FigureEntry("commands", "Commanded velocities", "commands", paper=True),
-    FigureEntry("fly-by", "Detections past several targets", "fly_by", paper=True),
-    FigureEntry("conditions", "Detections in every condition", "conditions", paper=True),
-    FigureEntry("contact-map", "Where it touches", "contact_map", paper=False),
-    FigureEntry("contact-force", "How gently it touches", "contact_force", paper=False),
+    FigureEntry(
+        "cbf-boundary", "The boundary and the two runs", "cbf_boundary", paper=True, of_runs=True
+    ),
+    FigureEntry("barrier", "The barrier over time", "barrier", paper=True, of_runs=True),
+    FigureEntry(
+        "pose-errors", "Errors in position and yaw", "pose_errors", paper=True, of_runs=True
+    ),
+    FigureEntry("commands", "Commanded velocities", "commands", paper=True, of_runs=True),
+    FigureEntry("fly-by", "Detections past several targets", "fly_by", paper=True, drawn=True),
+    FigureEntry(
+        "conditions", "Detections in every condition", "conditions", paper=True, drawn=True
+    ),
+    FigureEntry("contact-map", "Where it touches", "contact_map", paper=False, of_many=True),
+    FigureEntry(
+        "contact-force",
+        "How gently it touches",
+        "contact_force",
+        paper=False,
+        of_runs=True,
+        of_many=True,
+    ),
     FigureEntry("gate", "Delay and age against the gate", "gate", paper=False),
     FigureEntry("gradients", "The printed gradient, the true one, ours", "gradients", paper=False),
+    FigureEntry("film", "A picture of a film", "film", paper=False, drawn=True),
 )
 
 

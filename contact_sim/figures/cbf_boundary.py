@@ -45,9 +45,20 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
         f"h = {h_0[0]:.2f} m, run 2 (refinery, seed {bench.run_2.seed}) inside, at "
         f"h = {h_0[1]:.2f} m; both line up with the axis first and end in the mouth. The "
         "kink at 1 m is the vehicle that pitches to gain speed: the tip is 55 cm ahead of it. "
-        f"Flown with {bench.eyes_words}."
+        f"{_again(bench.runs)}Flown {bench.eyes_words}."
     )
     return figure, caption
+
+
+def _again(runs: tuple[Run, Run]) -> str:
+    """Which of them goes to the board more than once: its way is there twice, too."""
+    words = [
+        f"{run.label.capitalize()} backs off on its way in and goes there again: it touches at "
+        f"attempt {run.flown.attempts}, and all attempts are drawn. "
+        for run in runs
+        if run.flown.attempts > 1
+    ]
+    return "".join(words)
 
 
 def edge_m(funnel: Funnel, rho: Array) -> Array:

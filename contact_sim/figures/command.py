@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, NamedTuple
 
 import typer
 from rich.console import Console
@@ -15,10 +15,13 @@ from contact_sim.errors import SimulatorError
 from contact_sim.figures.bench import LINK, FigureBench
 from contact_sim.figures.catalogue import CATALOGUE, FigureEntry, chosen
 from contact_sim.figures.page import write_page
-from contact_sim.figures.style import save
+from contact_sim.figures.style import check_writable, save
+from contact_sim.sensing.gl import choose_gl
 from rgbd_wire.errors import WireError
 
 EXIT_INCOMPLETE: Final = 3
+OUT: Final = Path("runs/figures")
+FLIGHTS: Final = 100
 
 
 def figures(
@@ -30,9 +33,7 @@ def figures(
             show_default=False,
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="folder for the PNG files")] = Path(
-        "docs/results/figures"
-    ),
+    out: Annotated[Path, typer.Option(help="folder for the PNG files")] = OUT,
     page: Annotated[
         Path | None,
         typer.Option(
@@ -64,7 +65,7 @@ def figures(
     ] = None,
     flights: Annotated[
         int, typer.Option(min=1, max=10_000, help="in each world, where there is no --table")
-    ] = 100,
+    ] = FLIGHTS,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="processes for them")] = 2,
     quick: Annotated[
         bool,
@@ -77,14 +78,20 @@ def figures(
     """Draw the paper's figures, and some beyond it, from flights of the real client.
 
     Flights are flown in lockstep with the simulator: the same seed gives the same flight.
-    Figures fly-by and conditions look at drawn pictures with a real service. Each PNG carries its
-    caption; --page puts them on a page.
+    Figures fly-by, conditions and film look at drawn pictures with a real service. Each PNG carries
+    its caption and its command; --page puts them on a page.
 
     Exit code 0: all were drawn. 3: some could not be; it says why, and the others are there.
 
-    Example: scripts/figures cbf-boundary barrier --out /tmp/figures
+    Example: scripts/figures cbf-boundary barrier
+
+    The committed page: scripts/figures --service --out docs/results/figures --page
+    docs/results/figures.md
     """
     entries = chosen(names or [])
+    for path in (*(out / f"{entry.name}.png" for entry in entries), *([page] if page else [])):
+        check_writable(path)
+    asked = Asked(service, table, flights, quick)
     console = Console(stderr=True)
     failed: dict[str, str] = {}
     bar = Progress(
@@ -94,6 +101,8 @@ def figures(
         TimeElapsedColumn(),
         console=console,
     )
+    if service or any(entry.drawn for entry in entries):
+        choose_gl()
     with ExitStack() as stack:
         stack.enter_context(bar)
         whole = bar.add_task("figures", total=len(entries))
@@ -115,7 +124,7 @@ def figures(
         )
         for entry in entries:
             bar.update(whole, description=entry.name)
-            if (why := _draw(entry, bench, out)) is not None:
+            if (why := _draw(entry, bench, out, asked.command(entry))) is not None:
                 failed[entry.name] = why
                 bar.console.print(f"{entry.name}: {why}", style="red", markup=False)
             bar.update(part, visible=False)
@@ -128,11 +137,33 @@ def figures(
         raise typer.Exit(EXIT_INCOMPLETE)
 
 
-def _draw(entry: FigureEntry, bench: FigureBench, folder: Path) -> str | None:
+class Asked(NamedTuple):
+    """The options that change what is drawn."""
+
+    service: bool
+    table: Path | None
+    flights: int
+    quick: bool
+
+    def command(self, entry: FigureEntry) -> str:
+        """What draws one figure again."""
+        words = ["scripts/figures", entry.name]
+        if self.service and entry.of_runs:
+            words.append("--service")
+        if entry.of_many and self.table is not None:
+            words.append(f"--table {self.table}")
+        elif entry.of_many and self.flights != FLIGHTS:
+            words.append(f"--flights {self.flights}")
+        if self.quick:
+            words.append("--quick")
+        return " ".join(words)
+
+
+def _draw(entry: FigureEntry, bench: FigureBench, folder: Path, command: str) -> str | None:
     """Draw one; why not, or None."""
     try:
         figure, caption = entry.draw(bench)
-        save(figure, folder / f"{entry.name}.png", caption)
+        save(figure, folder / f"{entry.name}.png", caption, command)
     except (SimulatorError, WireError) as error:
         return " ".join(str(error).split())
     return None

@@ -68,5 +68,6 @@ def _caption(bench: FigureBench) -> str:
         "Commanded velocity of the body in the frame of the target, negative x towards the board, "
         "and yaw rate; thin lines are what the vehicle flew. The fastest commands are "
         f"{speed_mps(first):.2f} and {speed_mps(second):.2f} m/s (limit {limits.v_max_mps:g}); the "
-        f"tips met the board with {closing} (limit {limits.touch_mps:g})."
+        f"tips met the board with {closing} (limit {limits.touch_mps:g}). "
+        f"Flown {bench.eyes_words}."
     )

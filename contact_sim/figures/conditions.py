@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_sim.figures.bench import FigureBench
-from contact_sim.figures.picture import Studio, camera_at, error_m, show
+from contact_sim.figures.picture import AXES_WORDS, Studio, camera_at, error_m, show
 from contact_sim.figures.style import GRAY, ORANGE, new_figure
 from contact_sim.lockstep.eyes import Eyes
 from contact_sim.scene import Scene, build_scene
@@ -160,7 +160,7 @@ def _caption(samples: list[Sample]) -> str:
     worst = f" The worst place is off by {1e3 * max(errors):.1f} mm." if errors else ""
     return (
         f"One sample of each condition, as the drone's camera gives it, through a real service: "
-        f"{len(errors)} of {len(samples)} found.{worst} {words}Drawn in: edge, circles and axes of "
-        "the target where the answer says it is. The errors count the camera's own, whose lens is "
-        "not quite what its calibration says."
+        f"{len(errors)} of {len(samples)} found.{worst} {words}Drawn in: edge and circles of the "
+        f"target where the answer says it is, and its axes: {AXES_WORDS}. The errors count "
+        "the camera's own, whose lens is not quite what its calibration says."
     )

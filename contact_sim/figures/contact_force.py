@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import Any, Final
 
 import numpy as np
 
 from contact_sim.figures.bench import FigureBench
 from contact_sim.figures.contact_map import touches
+from contact_sim.figures.run import Run
 from contact_sim.figures.style import BLUE, ORANGE, RUNS, finish, legend, new_figure
 from drone_client.cbf import FilterSettings
 from drone_client.mission.arm import Arm
 from rgbd_wire.geometry import Array
 
 BEFORE_S: Final = 0.3
+OFF_S: Final = 0.05
 
 
 def draw(bench: FigureBench) -> tuple[Any, str]:
@@ -27,14 +30,16 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
         t_s = np.array([push.t_s for push in run.pushes]) - run.touch_s
         newtons = np.array([push.force_n for push in run.pushes])
         force.plot(t_s, newtons, color=color, lw=0.5, alpha=0.3)
-        force.plot(t_s, smooth(newtons), color=color, lw=1.3, label=run.label)
-        arm.plot(t_s, [1e3 * push.arm_m for push in run.pushes], color=color, lw=1.2)
+        force.plot(t_s, smooth(newtons), color=color, lw=1.3)
+        arm.plot(
+            t_s, [1e3 * push.arm_m for push in run.pushes], color=color, lw=1.2, label=run.label
+        )
     for axes in (force, arm):
         axes.set_xlim(-BEFORE_S, 3.2)
         axes.axhline(0.0, color="black", lw=0.8)
     finish(force, "force of the tip on the board", "time after the touch [s]", "force [N]")
     finish(arm, "how far the arm is pressed in", "time after the touch [s]", "compression [mm]")
-    legend(force, loc="upper right")
+    legend(arm, loc="upper right")
     _of_many(panels[1], bench)
     return figure, _caption(bench)
 
@@ -42,6 +47,37 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
 def smooth(force_n: Array) -> Array:
     """The mean over 20 ms, five turns."""
     return np.convolve(force_n, np.full(5, 0.2), mode="same")
+
+
+def breaks(run: Run) -> list[tuple[float, float]]:
+    """From when to when the tip was off the board between the touch and the retreat [s].
+
+    Counted from the touch; what is shorter than the mean that is drawn does not count.
+    """
+    if run.touch_s is None:
+        return []
+    pushes = [p for p in run.pushes if run.touch_s <= p.t_s < run.contact_end_s]
+    found = []
+    for is_off, group in groupby(pushes, key=lambda p: p.force_n == 0.0):
+        of_group = list(group)
+        if is_off and of_group[-1].t_s - of_group[0].t_s > OFF_S:
+            found.append((of_group[0].t_s - run.touch_s, of_group[-1].t_s - run.touch_s))
+    return found
+
+
+def _of_breaks(runs: tuple[Run, Run]) -> str:
+    """Whether the tips came off again."""
+    words = []
+    for run in runs:
+        times = [f"from {a:.1f} to {b:.1f} s" for a, b in breaks(run)]
+        if times:
+            words.append(f"{run.label} {' and '.join(times)}")
+    if not words:
+        return "No tip comes off again before the retreat. "
+    return (
+        f"The tip bounces off after the touch ({'; '.join(words)}), and then stays on the board "
+        "until the retreat. "
+    )
 
 
 def _of_many(panels: Any, bench: FigureBench) -> None:
@@ -54,14 +90,14 @@ def _of_many(panels: Any, bench: FigureBench) -> None:
         for w in worlds
     ]
     top = max((max(v) for v in of_peaks if v), default=1.0)
-    look = {"color": [BLUE, ORANGE][: len(worlds)], "label": worlds, "histtype": "bar"}
-    peaks.hist(of_peaks, bins=np.linspace(0.0, 1.15 * top, 24), **look)
+    look = {"color": [BLUE, ORANGE][: len(worlds)], "histtype": "bar"}
+    peaks.hist(of_peaks, bins=np.linspace(0.0, 1.15 * top, 24), label=worlds, **look)
     speeds.hist(of_speeds, bins=np.linspace(0.0, 1.1 * limit, 24), **look)
     speeds.axvline(limit, color="black", ls="--", lw=1.0, label=f"limit, {limit:g} m/s")
     finish(peaks, "peak of each flight", "force [N]", "flights")
     finish(speeds, "how fast the tip met the board", "closing speed [m/s]", "flights")
     legend(peaks)
-    legend(speeds)
+    legend(speeds, loc="upper right", bbox_to_anchor=(0.86, 1.0))
 
 
 def _caption(bench: FigureBench) -> str:
@@ -71,8 +107,9 @@ def _caption(bench: FigureBench) -> str:
     )
     words = (
         "Force of the tip in both runs (thin: single steps; thick: means of 20 ms). They press "
-        f"with {presses} (median) through a spring of {Arm().stiffness_npm:g} N/m. Below: "
-        f"{len(touches(bench.many))} flights that touched."
+        f"with {presses} (median) through a spring of {Arm().stiffness_npm:g} N/m, flown "
+        f"{bench.eyes_words}. {_of_breaks(bench.runs)}Below: {len(touches(bench.many))} flights "
+        f"that touched, {bench.many_eyes_words}."
     )
     peaks = [row.peak_force_n for row in bench.many if row.touched]
     speeds = [row.closing_mps for row in bench.many if row.closing_mps is not None]

@@ -48,7 +48,7 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     panels[0].set_ylabel("above the centre [mm]", fontsize=9)
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=3, fontsize=8)
-    return figure, _caption(rows, worlds)
+    return figure, f"{_caption(rows, worlds)} Flown {bench.many_eyes_words}."
 
 
 def touches(rows: Sequence[FlightRow]) -> Array:

@@ -20,7 +20,7 @@ from contact_sim.figures.fly_by_world import (
     Seeing,
     build_fly_by,
 )
-from contact_sim.figures.picture import Studio, error_m, show
+from contact_sim.figures.picture import AXES_WORDS, Studio, error_m, show
 from contact_sim.figures.style import BLUE, GRAY, ORANGE, YELLOW, finish, legend, new_figure
 from contact_sim.lockstep.eyes import Eyes
 from contact_sim.sensing import d455
@@ -167,5 +167,6 @@ def _caption(sights: Sequence[Sight], fly_by: FlyBy) -> str:
         f"a whole board in view (at most {FARTHEST_M:g} m away and {aside_deg:.0f} degrees "
         f"aside) {hits[0]} gave its pose, of {len(part)} with one that is cut off, farther or more "
         f"aside {hits[1]}, of the {len(none)} others {hits[2]}. Poses that are at no board: "
-        f"{false}.{off}"
+        f"{false}.{off} Below, one picture of each board with the pose as it was "
+        f"answered, its axes: {AXES_WORDS}."
     )

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from contact_sim.chance import stream
-from contact_sim.figures.bench import LINK, FigureBench
+from contact_sim.figures.bench import LINK, MODEL_WORDS, FigureBench
 from contact_sim.figures.run import Run, fly
 from contact_sim.figures.style import (
     AMBER,
@@ -45,6 +45,13 @@ _LOOKS: Final = {
     Verdict.OUT_OF_ORDER: (GREEN, "^"),
 }
 _PHASES: Final = {Freshness.HOLD: "#F0E442", Freshness.BRAKE: AMBER, Freshness.RETREAT: ORANGE}
+
+_LEVELS: Final = {
+    Freshness.HOLD: "old: holds",
+    Freshness.BRAKE: "older: brakes",
+    Freshness.RETREAT: "oldest: backs off",
+}
+"""Of the newest accepted result; not in the words of the mission's phases."""
 
 
 class SlowLink:
@@ -99,12 +106,12 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     finish(plane, "each result", "d1 + d2, on the network [ms]", "age on arrival [ms]")
     legend(plane, loc="lower right")
     times.axhline(age_ms, color=BLUE, ls="--", lw=1.0)
-    finish(times, "the same over time", "", "age on arrival [ms]")
+    finish(times, "the same over time; dotted: the mission's phases", "", "age on arrival [ms]")
     _tip(tip, run)
     times.sharex(tip)
     for axes in (times, tip):
         axes.set_xlim(0.0, run.t_s[-1])
-        mark_phases(axes, run.phases, named=axes is tip)
+        mark_phases(axes, run.phases, wide=True)
     return figure, _caption(run, tau_ms, age_ms)
 
 
@@ -132,13 +139,13 @@ def _tip(axes: Any, run: Run) -> None:
     for tick in run.flown.ticks:
         phase = None if tick.decision.safe is None else tick.decision.safe.freshness
         if phase in _PHASES:
-            name = None if phase in named else phase.value
+            name = None if phase in named else _LEVELS[phase]
             named.add(phase)
             at_s = tick.t_ns / 1e9
             axes.axvspan(at_s, at_s + 0.02, color=_PHASES[phase], alpha=0.6, lw=0, label=name)
-    finish(axes, "what the drone did", "time [s]", "tip before the board [m]")
+    finish(axes, "what the drone did; dotted: the mission's phases", "time [s]", "tip to board [m]")
     if named:
-        legend(axes, loc="upper right")
+        legend(axes, loc="upper right", title="shaded: the filter's levels", title_fontsize=8)
 
 
 def _caption(run: Run, tau_ms: float, age_ms: float) -> str:
@@ -152,6 +159,8 @@ def _caption(run: Run, tau_ms: float, age_ms: float) -> str:
         f"A flight in the tunnel (seed {run.seed}) whose link gets up to {2 * EXTRA_MS:.0f} ms "
         f"slower for {SLOW_S:g} s while the tip closes in. Accepted is what took at most "
         f"{tau_ms:.0f} ms on the network and is at most {age_ms:.0f} ms old: "
-        f"{counts.get(Verdict.ACCEPTED, 0)} results; {refused} were refused. Shaded: how fresh the "
-        f"newest accepted one was. The mission went {phases}, and {end}{off}."
+        f"{counts.get(Verdict.ACCEPTED, 0)} results; {refused} were refused. Shaded: what the "
+        "safety filter makes of the age of the newest accepted one, whatever the mission does: it "
+        "holds, brakes or backs off. Dotted: where the mission, which has phases of these names "
+        f"too, went into its next: {phases}. It {end}{off}. Flown {MODEL_WORDS}."
     )

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from contact_sim.figures.bench import FigureBench
+from contact_sim.figures.bench import MODEL_WORDS, FigureBench
 from contact_sim.figures.run import Run, fly
 from contact_sim.figures.style import BLUE, GRAY, ORANGE, finish, legend, new_figure
 from contact_sim.lockstep.flight import LockstepSettings
@@ -43,7 +43,8 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
         1e3 * points, difference(cusp, points), "o", color="black", ms=3.5,
         label="paper's h, by finite differences",
     )  # fmt: skip
-    finish(slopes, "how steep h is across", "offset from the axis [mm]", "|dh/dy|")
+    finish(slopes, "how steep h is across", "offset from the axis [mm]", "|dh/dy| [1]")
+    slopes.set_ylim(bottom=0.02)  # room for the legend below all lines
     legend(slopes, loc="lower right")
     first = None
     for i, (variant, runs) in enumerate(of_variant.items()):
@@ -133,5 +134,5 @@ def _caption(of_variant: dict[Variant, list[Run]]) -> str:
         f"With the true gradient of the cusp {touched(of_variant[Variant.CUSP])} touch and "
         f"{kept(of_variant[Variant.CUSP])} keep contact for as long as they should; with the "
         f"smooth funnel {touched(of_variant[Variant.SMOOTH])} and "
-        f"{kept(of_variant[Variant.SMOOTH])}."
+        f"{kept(of_variant[Variant.SMOOTH])}. Flown {MODEL_WORDS}."
     )

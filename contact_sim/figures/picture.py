@@ -20,6 +20,8 @@ from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.geometry import Array, Pose, rotation_from_vector
 from target_pose.target import Target
 
+AXES_WORDS: Final = "x, out of the board, amber; y, to the right, blue; z, up, orange"
+"""What ``target_lines`` draws, for captions."""
 CIRCLE: Final = np.linspace(0.0, 2.0 * math.pi, 73)
 
 

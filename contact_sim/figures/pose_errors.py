@@ -62,5 +62,5 @@ def _caption(bench: FigureBench) -> str:
     return (
         "Errors of the true tip's place in the frame of the target, and of the heading. The tip "
         "lines up before it closes in: $e_y$ and $e_z$ are within 5 cm for good after "
-        f"{' and '.join(words)} for $e_x$."
+        f"{' and '.join(words)} for $e_x$. Flown {bench.eyes_words}."
     ).replace("$", "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 from collections.abc import Sequence
@@ -29,8 +30,11 @@ RUNS: Final = (BLUE, ORANGE)
 """Of run 1 and run 2."""
 _LINES: Final = (BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER, YELLOW, GRAY, "#ffffff", "#000000")
 CAPTION_KEY: Final = "Description"
+COMMAND_KEY: Final = "Command"
+NAMES_PT: Final = 44.0
+"""Room above the axes for the names of phases: no curve runs through them there."""
 NAMED_SHARE: Final = 0.035
-"""A phase that lasts less than this share of the axis has no room for its name."""
+"""A phase that lasts less than this share of an axis of half the width has no room for a name."""
 
 
 def new_figure(height_in: float) -> Any:
@@ -57,37 +61,43 @@ def legend(axes: Any, **where: Any) -> None:
     axes.legend(fontsize=8, framealpha=0.9, **({"loc": "best"} | where))
 
 
-def mark_phases(axes: Any, starts: Sequence[tuple[float, Phase]], *, named: bool = True) -> None:
-    """A dotted line where the mission went into another phase, with its name on top.
+def mark_phases(
+    axes: Any, starts: Sequence[tuple[float, Phase]], *, named: bool = True, wide: bool = False
+) -> None:
+    """A dotted line where the mission went into another phase, with its name above the axes.
 
     Args:
-        axes: time in seconds along x.
+        axes: time in seconds along x; finished, with its title.
         starts: when each phase began.
         named: False: the lines alone.
+        wide: the axes are as wide as the figure.
     """
     low, high = axes.get_xlim()
+    share = NAMED_SHARE / 2 if wide else NAMED_SHARE
+    if named:
+        axes.set_title(axes.get_title(loc="left"), fontsize=10, loc="left", pad=NAMES_PT)
     ends = [at_s for at_s, _ in starts[1:]] + [high]
     for (at_s, phase), end_s in zip(starts, ends, strict=True):
         if not low <= at_s <= high:
             continue
         axes.axvline(at_s, color=GRAY, ls=":", lw=0.9)
-        if named and end_s - at_s > NAMED_SHARE * (high - low):
+        if named and end_s - at_s > share * (high - low):
             axes.annotate(
                 phase.value,
                 (at_s, 1.0),
                 xycoords=("data", "axes fraction"),
-                xytext=(2, -2),
+                xytext=(0, 3),
                 textcoords="offset points",
                 rotation=90,
-                va="top",
-                ha="left",
+                va="bottom",
+                ha="center",
                 fontsize=7.5,
                 color="#444444",
             )
 
 
-def save(figure: Any, path: Path, caption: str) -> None:
-    """Write the PNG, with its caption inside it.
+def save(figure: Any, path: Path, caption: str, command: str) -> None:
+    """Write the PNG, with its caption inside it, and the command that draws it again.
 
     Raises:
         FigureError: it cannot be written.
@@ -99,6 +109,7 @@ def save(figure: Any, path: Path, caption: str) -> None:
     figure.savefig(drawn, dpi=DPI, format="png")
     words = PngInfo()
     words.add_text(CAPTION_KEY, caption)
+    words.add_text(COMMAND_KEY, command)
     part = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -112,7 +123,26 @@ def save(figure: Any, path: Path, caption: str) -> None:
         few.save(part, format="PNG", pnginfo=words, optimize=True)
         os.replace(part, path)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
         raise FigureError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def check_writable(path: Path) -> None:
+    """See early whether a file could be written: nobody flies for minutes to hear that not.
+
+    Raises:
+        FigureError: there is no such folder and it cannot be made, or it takes no file.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.touch()
+        part.unlink()
+    except OSError as error:
+        raise FigureError(f"cannot write {path}: {error.strerror}") from None
+    if path.is_dir():
+        raise FigureError(f"cannot write {path}: it is a folder")
 
 
 def caption_of(path: Path) -> str:
@@ -121,13 +151,28 @@ def caption_of(path: Path) -> str:
     Raises:
         FigureError: there is no such figure, or it has none.
     """
+    return _words_of(path, CAPTION_KEY)
+
+
+def command_of(path: Path) -> str:
+    """The command that draws a figure again.
+
+    Raises:
+        FigureError: there is no such figure, or it does not say it.
+    """
+    return _words_of(path, COMMAND_KEY)
+
+
+def _words_of(path: Path, key: str) -> str:
     from PIL import Image, UnidentifiedImageError  # matplotlib brings it
 
     try:
         with Image.open(path) as picture:
-            caption = picture.info.get(CAPTION_KEY)
+            words = picture.info.get(key)
     except (OSError, UnidentifiedImageError) as error:
         raise FigureError(f"cannot read figure {path}: {error}") from None
-    if not isinstance(caption, str) or not caption:
-        raise FigureError(f"{path} has no caption: it is no figure of scripts/figures")
-    return caption
+    if not isinstance(words, str) or not words:
+        raise FigureError(
+            f"{path} has no {key.lower()}: it is no figure of scripts/figures, or an old one"
+        )
+    return words

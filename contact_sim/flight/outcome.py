@@ -10,7 +10,8 @@ import numpy as np
 
 from contact_sim.simulation import Simulation
 from drone_client.cbf import Funnel
-from rgbd_wire.geometry import Array, Pose
+from drone_client.cbf.vector import Vec3, moved
+from rgbd_wire.geometry import Array, Pose, vec3
 
 TIP: Final = "drone/tip"
 BOARD: Final = "board"
@@ -100,11 +101,11 @@ class Witness:
         if not (due or simulation.contacts.touches):
             return
         truth = simulation.truth
+        target_from_body = self._target_from_world @ truth.world_from_body
+        forward = target_from_body.rotation[:, 0]
         tip_target = self._target_from_world @ truth.tip_world
         # Where the tip would be if the arm had not given way
-        forward = truth.world_from_body.rotation[:, 0]
-        free = self._target_from_world @ (truth.tip_world + truth.arm_m * forward)
-        x, y, z = free.tolist()
+        x, y, z = moved(vec3(tip_target), vec3(forward), truth.arm_m)
         self._nearest_m = min(self._nearest_m, x)
         beside_m = math.hypot(float(tip_target[1]), float(tip_target[2]))
         if truth.tip_force_n > 0.0 and beside_m > MOUTH_M:
@@ -120,7 +121,7 @@ class Witness:
             self._forces.append(truth.tip_force_n)
             self._touching_turns += 1
         if due:
-            self._add_row(simulation, (x, y, z), forward)
+            self._add_row(simulation, (x, y, z), vec3(forward))
 
     def _stands(self, simulation: Simulation) -> bool:
         """Whether the drone has not risen yet from where it was put."""
@@ -132,14 +133,10 @@ class Witness:
             self._stands_ns = None
         return self._stands_ns is not None
 
-    def _add_row(
-        self, simulation: Simulation, tip_target: tuple[float, float, float], forward: Array
-    ) -> None:
+    def _add_row(self, simulation: Simulation, tip_target: Vec3, forward_target: Vec3) -> None:
         if len(self.rows) >= MAX_TRACK:
             return
         truth = simulation.truth
-        inwards = self._target_from_world.rotation @ forward
-        believed = simulation.estimate.world_from_body.translation
         px, py, pz = truth.world_from_body.translation.tolist()
         vx, vy, vz = truth.velocity_world.tolist()
         self.rows.append(
@@ -147,11 +144,11 @@ class Witness:
                 truth.t_ns,
                 tip_target,
                 (px, py, pz),
-                math.atan2(inwards[1], -inwards[0]),
+                math.atan2(forward_target[1], -forward_target[0]),
                 (vx, vy, vz),
                 truth.arm_m,
                 truth.tip_force_n,
-                float(np.linalg.norm(believed - truth.world_from_body.translation)),
+                simulation.drift_m,
             )
         )
 

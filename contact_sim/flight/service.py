@@ -17,11 +17,15 @@ from contact_sim.errors import ServiceError
 
 READY_S: Final = 120.0
 END_S: Final = 20.0
+"""Time for the service to end when it is told to; then it is killed."""
+KILLED_S: Final = 10.0
 LOG_LINES: Final = 12
 
 
 class ServiceProcess:
     """``edge-service serve`` on loopback; ends with the context, whatever happens in it.
+
+    It is tied to this process (``tied``): it ends as well when this one is killed.
 
     Raises:
         ServiceError: it cannot be started, ended before it was ready, or takes too long.
@@ -43,6 +47,7 @@ class ServiceProcess:
                 "there is no edge-service beside this Python: install aerial-contact[edge], or "
                 "give --connect the address of one that runs elsewhere"
             )
+        tied = [sys.executable, "-m", "contact_sim.flight.tied", f"{END_S:g}"]
         command = [str(executable), "serve", "--listen", self.endpoint, "--http", self.http]
         # One thread of torch: the drone and its world need the other cores
         env = os.environ | {"EDGE_THREADS": "1"}
@@ -50,8 +55,8 @@ class ServiceProcess:
             folder.mkdir(parents=True, exist_ok=True)
             with self.log.open("wb") as log:
                 self._process = subprocess.Popen(
-                    [*command, *options],
-                    stdin=subprocess.DEVNULL,
+                    [*tied, *command, *options],
+                    stdin=subprocess.PIPE,
                     stdout=log,
                     stderr=log,
                     env=env,
@@ -74,13 +79,13 @@ class ServiceProcess:
 
     def close(self) -> None:
         """End it, gently at first."""
-        if self._process.poll() is None:
-            self._process.terminate()
-            try:
-                self._process.wait(END_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        try:
+            self._process.wait(END_S + KILLED_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
     def _wait_ready(self) -> None:
         give_up = time.monotonic() + READY_S

@@ -1,7 +1,7 @@
 """How frames leave in lockstep: the client's departure clock and its choice of encoding.
 
-``drone_client/uplink.py`` runs the same parts in a thread; here simulated time is handed to them, and there is
-one worker, so nothing is handed over and nothing is sent twice.
+``drone_client/uplink.py`` runs the same parts in a thread; here simulated time is handed to them,
+and there is one worker, so nothing is handed over and nothing is sent twice.
 """
 
 from __future__ import annotations

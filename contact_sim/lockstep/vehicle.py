@@ -5,6 +5,7 @@ from __future__ import annotations
 from contact_sim.flight.autopilot import vehicle_state
 from contact_sim.simulation import Simulation
 from drone_client.autopilot import VehicleState, VelocityCommand
+from drone_client.autopilot.dead_man import Setpoint
 from drone_client.autopilot.offboard_rules import OffboardRules
 from drone_client.odometry import OdometrySample, RangeSample
 
@@ -18,6 +19,7 @@ class LockstepVehicle:
     def __init__(self, simulation: Simulation) -> None:
         self.rules = OffboardRules()
         self._simulation = simulation
+        self._flown: Setpoint | None = None
 
     def command(self, command: VelocityCommand) -> None:
         """Take the newest command."""
@@ -26,7 +28,9 @@ class LockstepVehicle:
     def turn(self, steps: int) -> None:
         """Fly for some physics steps."""
         wanted = self.rules.wanted(self._simulation.t_ns)
-        self._simulation.set_velocity(wanted.velocity_world, wanted.yaw_rate_radps)
+        if wanted is not self._flown:
+            self._simulation.set_velocity(wanted.velocity_world, wanted.yaw_rate_radps)
+            self._flown = wanted
         self._simulation.step(steps)
 
     def state(self) -> VehicleState | None:

@@ -10,4 +10,6 @@
     curves.py    h, d1 + d2 and the force over time
     encoder.py   pictures -> video file
     film.py      all of it
+    world.py     which world it was, from the run's files
+    command.py   python -m contact_sim film
 """

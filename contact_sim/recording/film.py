@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from contact_sim.errors import FilmError
 from contact_sim.recording.chase import chase
 from contact_sim.recording.curves import Curves
 from contact_sim.recording.encoder import VideoFile
@@ -100,10 +101,31 @@ def film(run: Path, scene: Scene, path: Path, on_progress: Callable[[float], Non
         on_progress: told the share that is done.
 
     Raises:
-        FilmError: it was not recorded, or the video cannot be written.
+        FilmError: it was not recorded, the video cannot be written, or somebody gave it up.
         RenderError: no OpenGL draws here without a screen.
     """
-    reel = load_reel(run)
+    reel, _ = load_reel(run)
+    try:
+        draw_film(reel, scene, path, on_progress)
+    except KeyboardInterrupt:
+        raise FilmError(
+            f"{path} was given up; this makes it: python -m contact_sim film {run} {path}"
+        ) from None
+
+
+def draw_film(reel: Reel, scene: Scene, path: Path, on_progress: Callable[[float], None]) -> None:
+    """Draw a flight into a video; an interrupt leaves nothing of it.
+
+    Args:
+        reel: the flight.
+        scene: the world that it was flown in.
+        path: .mp4 or .webm.
+        on_progress: told the share that is done.
+
+    Raises:
+        FilmError: the video cannot be written.
+        RenderError: no OpenGL draws here without a screen.
+    """
     times_ns = reel.times_ns(RATE_HZ)
     with (
         Stage(scene, reel.facts, *CHASE) as stage,

@@ -13,12 +13,14 @@ from contact_sim.errors import FilmError
 from contact_sim.scene import Snapshot
 from drone_client.pose_buffer import PoseBuffer
 from drone_client.viewing.facts import FlightFacts
-from drone_client.viewing.moments import Moment, Moved, Pictured, Said, Settled, Ticked, Truly
+from drone_client.viewing.moments import Line, Moment, Moved, Pictured, Said, Settled, Ticked, Truly
 from drone_client.viewing.run_folder import RunFolder
 from rgbd_wire.geometry import Pose
 
 LEAD_NS = 500_000_000
 """So long before the mission begins the film begins."""
+COORDINATES = 8
+"""Of a drone: its place, its attitude, its arm."""
 TAIL_NS = 1_000_000_000
 """And so long after the last control tick it ends."""
 
@@ -56,6 +58,8 @@ class Reel:
         self._pictures = [m for m in moments if isinstance(m, Pictured)]
         if len(self.truths) < 2:
             raise FilmError("there is no flight to film: nothing was written of how it truly was")
+        if any("t_simulated_ns" not in m.line or not _is_place(m.line) for m in self.truths):
+            raise FilmError("how it truly was is not written as this simulator does")
         self._poses = PoseBuffer(len(moments) + 1)
         for m in moments:
             if isinstance(m, Moved):
@@ -71,6 +75,17 @@ class Reel:
         self.start_ns = max(first_ns, begun[0] - LEAD_NS) if begun else first_ns
         ended_ns = self.ticks[-1].t_ns + TAIL_NS if self.ticks else self.truths[-1].t_ns
         self.end_ns = max(min(self.truths[-1].t_ns, ended_ns), self.start_ns + 1)
+
+    @property
+    def has_pictures(self) -> bool:
+        """Whether the drone's own were recorded."""
+        return bool(self._pictures)
+
+    @property
+    def missing_s(self) -> float:
+        """By how much the record of how it truly was ends before the flight."""
+        last_ns = self.ticks[-1].t_ns if self.ticks else self.truths[-1].t_ns
+        return max(0.0, (last_ns - self.truths[-1].t_ns) / 1e9)
 
     def times_ns(self, rate_hz: float) -> list[int]:
         """When the film's pictures are."""
@@ -113,8 +128,8 @@ class Reel:
         return Snapshot(int(before.line["t_simulated_ns"]), _between(p, q, share), lamps)
 
 
-def load_reel(run: Path) -> Reel:
-    """The flight in a run's folder.
+def load_reel(run: Path) -> tuple[Reel, int]:
+    """The flight in a run's folder, and how many lines of it could not be read.
 
     Raises:
         FilmError: it is none of a simulator's.
@@ -124,7 +139,17 @@ def load_reel(run: Path) -> Reel:
     facts = folder.facts()
     if facts is None:
         raise FilmError(f"{run} is no flight: there is no flight.json in it")
-    return Reel(facts, folder.grown())
+    return Reel(facts, folder.grown()), folder.unread
+
+
+def _is_place(line: Line) -> bool:
+    """Whether there are a drone's coordinates: place, attitude, arm."""
+    qpos = line.get("qpos")
+    return (
+        isinstance(qpos, list)
+        and len(qpos) == COORDINATES
+        and all(isinstance(v, int | float) for v in qpos)
+    )
 
 
 def _between(p: np.ndarray, q: np.ndarray, share: float) -> np.ndarray:

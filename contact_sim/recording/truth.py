@@ -7,11 +7,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from contact_sim.scene import Scene
 from contact_sim.simulation import Simulation
 from drone_client.line_writer import LineWriter
+from drone_client.viewing.whole_file import remove_if_empty
 from rgbd_wire.messages import pose_numbers
 
 TRUTH_NAME: Final = "truth.jsonl"
+WORLD_NAME: Final = "world.json"
+"""Which world it was flown in, also of a flight that was killed."""
 PERIOD_NS: Final = 33_000_000
 MAX_LINES: Final = 200_000
 """Two hours at that rate."""
@@ -24,6 +28,7 @@ class TruthWriter:
         self.problem: str | None = None
         """Why not all of it was written."""
         self._path = folder / TRUTH_NAME
+        self._world_path = folder / WORLD_NAME
         self._lines: LineWriter | None = None
         self._left = MAX_LINES
         self._due_ns = 0
@@ -32,7 +37,7 @@ class TruthWriter:
     def begin(self) -> None:
         """Open the file; nothing is written before. A disk that takes it not is a ``problem``."""
         try:
-            self._lines = LineWriter({TRUTH_NAME: self._path})
+            self._lines = LineWriter({TRUTH_NAME: self._path, WORLD_NAME: self._world_path})
         except OSError as error:
             self.problem = f"{self._path}: {error.strerror}"
 
@@ -50,8 +55,10 @@ class TruthWriter:
         if now_ns < self._due_ns or self._left <= 0:
             return
         self._left -= 1
+        if self._due_ns == 0:
+            self._lines.put(WORLD_NAME, _world(simulation.scene))
         self._due_ns = now_ns + PERIOD_NS
-        self._lines.put(TRUTH_NAME, _line(simulation, now_ns, self._force_n))
+        self._lines.put(TRUTH_NAME, truth_line(simulation, now_ns, self._force_n))
         self._force_n = 0.0
 
     def close(self) -> None:
@@ -60,9 +67,23 @@ class TruthWriter:
             self._lines.close()
             if self._lines.lost:
                 self.problem = f"{self._path}: {self._lines.lost} lines were not written"
+                remove_if_empty(self._path)
+                remove_if_empty(self._world_path)
 
 
-def _line(simulation: Simulation, now_ns: int, force_n: float) -> dict[str, Any]:
+def _world(scene: Scene) -> dict[str, Any]:
+    """What builds the world again."""
+    return {"world": scene.name, "seed": scene.seed, "board": scene.facts.get("board")}
+
+
+def truth_line(simulation: Simulation, now_ns: int, force_n: float) -> dict[str, Any]:
+    """A line of ``truth.jsonl``.
+
+    Args:
+        simulation: between two steps.
+        now_ns: drone's clock.
+        force_n: of the tip, the worst since the line before.
+    """
     truth, snapshot = simulation.truth, simulation.snapshot()
     believed = simulation.estimate.world_from_body.translation
     drift_m = float(np.linalg.norm(believed - truth.world_from_body.translation))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from contact_sim.chance import MAX_SEED
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from contact_sim.scene.textures import Paint
     from rgbd_wire.geometry import Array, Pose
 
 WORLDS = ("tunnel", "refinery")
@@ -69,11 +71,12 @@ class Light:
     sun: Sun | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A world without a drone, and what must be known to fly in it."""
 
-    spec: mujoco.MjSpec
+    bare: mujoco.MjSpec
+    """The world without its textures: all that can be touched, and all that a lidar sees."""
     name: str
     seed: int
     world_from_target: Pose
@@ -90,6 +93,19 @@ class Scene:
     light: Light
     facts: Mapping[str, Any]
     """What was drawn by chance, for the log."""
+    paints: Mapping[str, Paint] = field(default_factory=dict)
+    """What paints the textures of materials, by name."""
+
+    @cached_property
+    def spec(self) -> mujoco.MjSpec:
+        """The world with its textures, painted when it is first asked for."""
+        # it needs this module's types
+        from contact_sim.scene.textures import put_on
+
+        spec = self.bare.copy()
+        for name, paint in self.paints.items():
+            put_on(spec, name, paint())
+        return spec
 
 
 @dataclass(frozen=True, slots=True, eq=False)

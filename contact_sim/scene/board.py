@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from functools import lru_cache
 
 import cv2
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from contact_sim.scene import SEEN_GROUP
 from contact_sim.scene.shapes import Shape, add_shape, moved, panel
-from contact_sim.scene.textures import add_material
+from contact_sim.scene.textures import Paint, add_bare_material
 from rgbd_wire.geometry import Pose
 from target_pose.target import Disc, Shade, Target
 
@@ -90,8 +91,11 @@ def add_board(
     board: str,
     world_from_target: Pose,
     rng: np.random.Generator,
-) -> None:
-    """Hang the board into the world: geom ``board``, a plate that can be touched, and its print."""
+) -> Paint:
+    """Hang the board into the world: geom ``board``, a plate that can be touched, and its print.
+
+    Returns what paints the material ``print``, with chances of ``rng``, which is its alone.
+    """
     half = target.board_side_m / 2
     plate = world_from_target @ np.array([-PRINT_M - PLATE_M / 2, 0.0, 0.0])
     spec.add_material(name="plate", rgba=(0.35, 0.35, 0.36, 1.0))
@@ -105,7 +109,7 @@ def add_board(
         material="plate",
         group=SEEN_GROUP,
     )
-    add_material(spec, "print", print_texture(target, board, rng))
+    add_bare_material(spec, "print")
     add_shape(spec, "print", moved(_sheet(half, 0.0, cells=8), world_from_target), "print")
     if board == "glossy":
         # OpenGL's old lights multiply a highlight with the texture: black ink would not shine
@@ -113,6 +117,7 @@ def add_board(
         # and they shine on the corners of triangles alone: a highlight wants many
         film = moved(_sheet(half, FILM_M, cells=32), world_from_target)
         add_shape(spec, "film", film, "film")
+    return lambda: print_texture(target, board, copy.deepcopy(rng))
 
 
 def _sheet(half_m: float, x_m: float, cells: int) -> Shape:

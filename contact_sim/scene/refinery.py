@@ -13,7 +13,7 @@ from contact_sim.scene.board import add_board
 from contact_sim.scene.lamps import light_from_all_sides
 from contact_sim.scene.shapes import Shape, add_shape, joined, moved, seen_from
 from contact_sim.scene.site import CLEAR_M, Site, add_solid, draw_site
-from contact_sim.scene.textures import Texture
+from contact_sim.scene.textures import Paint
 from rgbd_wire.geometry import Array
 from target_pose.target import load_round_target
 
@@ -59,12 +59,14 @@ def build_refinery(seed: int, board: str) -> Scene:
     looks = _looks(rng)
     for name, shapes_of_it in parts.by_look.items():
         specular, shine = (0.35, 0.4) if name in ("pipe", "steel", "handle") else (0.0, 0.1)
-        textures.add_material(spec, name, looks[name], specular, shine)
+        textures.add_bare_material(spec, name, specular, shine)
         add_shape(spec, name, moved(joined(shapes_of_it), site.world_from_site), name)
     for center, size in parts.solids:
         add_solid(spec, site, center, size, np.eye(3))
     print_chance = stream(seed, f"print {board}")
-    add_board(spec, load_round_target(), board, site.world_from_target, print_chance)
+    painted_print = add_board(
+        spec, load_round_target(), board, site.world_from_target, print_chance
+    )
 
     light_from_all_sides(spec, float(rng.uniform(0.34, 0.46)))
     sun_world = site.world_from_site.rotation @ sun_site
@@ -82,6 +84,7 @@ def build_refinery(seed: int, board: str) -> Scene:
     over = float(np.exp(rng.uniform(0.0, np.log(3.5))))
     facts = {
         **site.facts,
+        "board": board,
         "over_exposed": over,
         "wall": f"tank of {radius:.1f} m" if on_tank else "hall",
         "sun_elevation_deg": math.degrees(math.asin(sun_site[2])),
@@ -106,6 +109,7 @@ def build_refinery(seed: int, board: str) -> Scene:
             sun=Sun(sun_world, strength=float(rng.uniform(1.5, 3.0))),
         ),
         facts=facts,
+        paints={**{name: looks[name] for name in parts.by_look}, "print": painted_print},
     )
 
 
@@ -120,7 +124,7 @@ def _draw_sun(rng: np.random.Generator) -> tuple[Array, float]:
     return towards, float(rng.uniform(0.55, 0.75))
 
 
-def _looks(rng: np.random.Generator) -> dict[str, Texture]:
+def _looks(rng: np.random.Generator) -> dict[str, Paint]:
     hues = ((0.45, 0.45, 0.43), (0.10, 0.20, 0.12), (0.38, 0.30, 0.10), (0.12, 0.20, 0.34))
     first, second = (hues[i] for i in rng.permutation(len(hues))[:2])
     return {

@@ -13,6 +13,7 @@ from contact_sim.scene.board import add_board
 from contact_sim.scene.lamps import add_lamp, light_from_all_sides
 from contact_sim.scene.shapes import Shape, add_shape, joined, moved, seen_from
 from contact_sim.scene.site import CLEAR_M, Site, add_solid, draw_site
+from contact_sim.scene.textures import Paint
 from rgbd_wire.geometry import Array, Pose, rotation_from_vector
 from target_pose.target import load_round_target
 
@@ -71,11 +72,11 @@ def build_tunnel(seed: int, board: str) -> Scene:
     spec = mujoco.MjSpec()
     spec.modelname = "tunnel"
     world_from_tube = site.world_from_site @ site_from_tube
-    _add_rock(spec, rng, tube, world_from_tube, site_from_tube, site)
+    paints = _add_rock(spec, rng, tube, world_from_tube, site_from_tube, site)
     _add_solids(spec, site, tube, site_from_tube)
-    _add_fittings(spec, rng, tube, world_from_tube, site_from_tube, site)
-    _add_plate(spec, rng, site)
-    add_board(
+    paints |= _add_fittings(spec, rng, tube, world_from_tube, site_from_tube, site)
+    paints |= _add_plate(spec, rng, site)
+    paints["print"] = add_board(
         spec, load_round_target(), board, site.world_from_target, stream(seed, f"print {board}")
     )
     light_from_all_sides(spec, float(rng.uniform(0.05, 0.09)))
@@ -84,6 +85,7 @@ def build_tunnel(seed: int, board: str) -> Scene:
     level_site = site_from_tube.translation[2]
     facts = {
         **site.facts,
+        "board": board,
         "wall": "face" if on_face else "side",
         "width_m": width,
         "height_m": tube.height_m,
@@ -109,6 +111,7 @@ def build_tunnel(seed: int, board: str) -> Scene:
             lamps=tuple(lamps),
         ),
         facts=facts,
+        paints=paints,
     )
 
 
@@ -123,10 +126,11 @@ def _add_rock(
     world_from_tube: Pose,
     site_from_tube: Pose,
     site: Site,
-) -> None:
-    """Vault, face and floor, rough but for where the board hangs."""
-    textures.add_material(spec, "rock", textures.rock(rng))
-    textures.add_material(spec, "ground", textures.gravel(rng))
+) -> dict[str, Paint]:
+    """Vault, face and floor, rough but for where the board hangs; returns what paints them."""
+    textures.add_bare_material(spec, "rock")
+    textures.add_bare_material(spec, "ground")
+    paints = {"rock": textures.rock(rng), "ground": textures.gravel(rng)}
     inside = np.array([LENGTH_M / 2, 0.0, 1.0])
     profile = tube.profile()
     along = np.linspace(-0.4, LENGTH_M, _ALONG)
@@ -165,6 +169,7 @@ def _add_rock(
     texture = np.stack(np.broadcast_arrays(y[None, :], x[:, None]), -1) / 1.2
     ground = seen_from(inside, shapes.grid(floor, texture))
     add_shape(spec, "ground", moved(ground, world_from_tube), "ground")
+    return paints
 
 
 def _flat_near(relief: Array, points_site: Array, site: Site) -> Array:
@@ -208,8 +213,11 @@ def _add_fittings(
     world_from_tube: Pose,
     site_from_tube: Pose,
     site: Site,
-) -> None:
-    """Rails, a duct under the vault, cables and pipes along the walls, and what was left there."""
+) -> dict[str, Paint]:
+    """Rails, a duct under the vault, cables and pipes along the walls, and what was left there.
+
+    Returns what paints them.
+    """
     half, pitch = tube.width_m / 2, np.array([1.0, 0.0, tube.slope])
     start, end = 0.7, LENGTH_M - 0.2
     steel, dark, paint = [], [], []
@@ -231,13 +239,14 @@ def _add_fittings(
         if rng.random() < 0.7:
             steel.append(line(side * (half - 0.12), low, rng.uniform(0.04, 0.08)))
     _add_clutter(rng, tube, site_from_tube, site, paint, dark)
-    for name, parts, look in (
-        ("steel", steel, textures.painted_steel(rng, (0.25, 0.24, 0.23))),
-        ("dark", dark, textures.painted_steel(rng, (0.05, 0.045, 0.04))),
-        ("paint", paint, textures.painted_steel(rng, _paint(rng))),
-    ):
-        textures.add_material(spec, name, look)
+    for name, parts in (("steel", steel), ("dark", dark), ("paint", paint)):
+        textures.add_bare_material(spec, name)
         add_shape(spec, name, moved(joined(parts), world_from_tube), name)
+    return {
+        "steel": textures.painted_steel(rng, (0.25, 0.24, 0.23)),
+        "dark": textures.painted_steel(rng, (0.05, 0.045, 0.04)),
+        "paint": textures.painted_steel(rng, _paint(rng)),
+    }
 
 
 def _add_clutter(
@@ -271,15 +280,19 @@ def _distance(place: Array, way: Array) -> float:
     return float(np.linalg.norm(a + share * (b - a) - place))
 
 
-def _add_plate(spec: mujoco.MjSpec, rng: np.random.Generator, site: Site) -> None:
-    """What carries the board: a bracket between it and the rock, a little larger than nothing."""
-    textures.add_material(spec, "bracket", textures.painted_steel(rng, (0.3, 0.3, 0.3)))
+def _add_plate(spec: mujoco.MjSpec, rng: np.random.Generator, site: Site) -> dict[str, Paint]:
+    """What carries the board: a bracket between it and the rock, a little larger than nothing.
+
+    Returns what paints it.
+    """
+    textures.add_bare_material(spec, "bracket")
     off = site.site_from_target.translation
     parts = [
         shapes.block(np.array([off[0] / 2 - 0.03, y, off[2]]), (off[0], 0.04, 0.3), 0.5)
         for y in (-0.12, 0.12)
     ]
     add_shape(spec, "bracket", moved(joined(parts), site.world_from_site), "bracket")
+    return {"bracket": textures.painted_steel(rng, (0.3, 0.3, 0.3))}
 
 
 def _add_lamps(

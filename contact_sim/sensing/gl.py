@@ -1,4 +1,7 @@
-"""Which OpenGL draws without a screen: found once, before mujoco loads any."""
+"""Which OpenGL draws without a screen: found once, before mujoco loads any.
+
+Importing this imports no mujoco, which reads MUJOCO_GL as it loads, and fails by it.
+"""
 
 from __future__ import annotations
 
@@ -37,6 +40,33 @@ def open_context(width: int, height: int) -> Any:
     """
     module = importlib.import_module(_MODULES[choose_gl()])
     return module.GLContext(width, height)
+
+
+def load_mujoco() -> None:
+    """Import mujoco, in whose name MUJOCO_GL may hold what breaks the import.
+
+    Where nothing is drawn this is all that has to be looked at; what draws asks ``choose_gl``
+    first.
+
+    Raises:
+        RenderError: it cannot be imported with that; says what may be set, and what to install.
+        ModuleNotFoundError: it is not installed.
+    """
+    try:
+        importlib.import_module("mujoco")
+    except ModuleNotFoundError:
+        raise
+    # by what is set it is an unknown word, a library without its functions, a driver that is not
+    except (RuntimeError, AttributeError, ImportError, OSError) as error:
+        wanted = os.environ.get("MUJOCO_GL", "")
+        raise RenderError(
+            f"mujoco cannot be loaded with MUJOCO_GL = {wanted!r} ({_short(error)}): leave it "
+            f"unset, or set it to one of {', '.join(_MODULES)}; {_INSTALL}"
+        ) from None
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:160] or type(error).__name__
 
 
 @functools.cache

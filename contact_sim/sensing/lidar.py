@@ -94,10 +94,11 @@ class Lidar:
         s = self.settings
         x, y, z = rotate(q_world_from_body, self._place_body)
         px, py, pz = position_world
-        self._origin[:] = px + x, py + y, pz + z
-        self._along[:] = rotate(q_world_from_body, self._beam_body)
+        origin, along = self._origin, self._along
+        origin[0], origin[1], origin[2] = px + x, py + y, pz + z
+        along[0], along[1], along[2] = rotate(q_world_from_body, self._beam_body)
         way_m = mujoco.mj_ray(
-            self._model, data, self._origin, self._along, self._groups, 1, self._own, self._hit
+            self._model, data, origin, along, self._groups, 1, self._own, self._hit
         )
         noisy_m = way_m + s.noise_m * next(self._normal)
         seen = way_m >= 0.0 and s.min_m <= noisy_m <= s.max_m

@@ -76,12 +76,21 @@ class VioSettings:
 
 
 class Moving(NamedTuple):
-    """The true motion at a moment."""
+    """A motion at a moment: the true one, or what the VIO says of it."""
 
     t_ns: int
     position_world: Vec3
     q_world_from_body: Quaternion
     velocity_world: Vec3
+
+    @property
+    def sample(self) -> OdometrySample:
+        """As odometry, for whoever takes it: not everybody takes 200 a second."""
+        return OdometrySample(
+            self.t_ns,
+            Pose(np.array(self.position_world), np.array(self.q_world_from_body)),
+            np.array(self.velocity_world),
+        )
 
 
 class Vio:
@@ -97,7 +106,7 @@ class Vio:
         self._before = start
         self._position = start.position_world
         self._yaw_rad = 0.0
-        self._coming: deque[tuple[int, OdometrySample]] = deque()
+        self._coming: deque[tuple[int, Moving]] = deque()
 
     @property
     def yaw_error_rad(self) -> float:
@@ -134,24 +143,16 @@ class Vio:
         k, kp, kv, ka = self._scale, s.position_noise_m, s.velocity_noise_mps, s.attitude_noise_rad
         wobble = from_vector((ka * next(normal), ka * next(normal), ka * next(normal)))
         q = product(wobble, product(turn, now.q_world_from_body))
-        sample = OdometrySample(
+        said = Moving(
             now.t_ns,
-            Pose(
-                np.array([x + kp * next(normal), y + kp * next(normal), z + kp * next(normal)]),
-                np.array(q),
-            ),
-            np.array(
-                [
-                    k * vx + kv * next(normal),
-                    k * vy + kv * next(normal),
-                    k * vz + kv * next(normal),
-                ]
-            ),
+            (x + kp * next(normal), y + kp * next(normal), z + kp * next(normal)),
+            q,
+            (k * vx + kv * next(normal), k * vy + kv * next(normal), k * vz + kv * next(normal)),
         )
-        self._coming.append((now.t_ns + s.latency_ns, sample))
+        self._coming.append((now.t_ns + s.latency_ns, said))
 
-    def due(self, now_ns: int) -> OdometrySample | None:
-        """The next sample whose latency is over; None: there is none."""
+    def due(self, now_ns: int) -> Moving | None:
+        """The next motion that comes out, once its latency is over; None: there is none."""
         if self._coming and self._coming[0][0] <= now_ns:
             return self._coming.popleft()[1]
         return None

@@ -144,6 +144,14 @@ class Estimator:
         self._level = AxisCovariance(0.005, 0.02, 0.01)
         self._upright = AxisCovariance(0.005, 0.02, 0.01)
         self._angle = AngleCovariance(0.005, 0.0005)
+        period_s = settings.filter_period_s
+        self._walks = (
+            settings.ekf2_acc_noise**2 * period_s,
+            settings.ekf2_acc_b_noise**2 * period_s,
+            settings.ekf2_gyr_noise**2 * period_s,
+            settings.ekf2_gyr_b_noise**2 * period_s,
+        )
+        """How fast the variances of velocity, its bias, angle and its bias grow, per second."""
         self._moved: Vec3 = ZERO
         self._turned: Vec3 = ZERO
         self._fused_ns = t_ns
@@ -170,8 +178,9 @@ class Estimator:
         ax, ay, az = imu.angle_body
         gx, gy, gz = ax - bx * dt_s, ay - by * dt_s, az - bz * dt_s
         self.rates = gx / dt_s, gy / dt_s, gz / dt_s
-        middle = product(self.q, from_vector((0.5 * gx, 0.5 * gy, 0.5 * gz)))
-        self.q = product(self.q, from_vector((gx, gy, gz)))
+        half = from_vector((0.5 * gx, 0.5 * gy, 0.5 * gz))
+        middle = product(self.q, half)
+        self.q = product(middle, half)
         bx, by, bz = self._accel_bias
         sx, sy, sz = imu.speed_body
         ux, uy, uz = rotate(middle, (sx - bx * dt_s, sy - by * dt_s, sz - bz * dt_s))
@@ -184,30 +193,24 @@ class Estimator:
             pz + dt_s * (vz + 0.5 * uz),
         )
         self.velocity = vx + ux, vy + uy, vz + uz
-        s = self.settings
-        share = 1.0 - math.exp(-2.0 * math.pi * s.smoothing_hz * dt_s)
+        share = 1.0 - math.exp(-2.0 * math.pi * self.settings.smoothing_hz * dt_s)
         cx, cy, cz = self.acceleration
         self.acceleration = (
             cx + share * (ux / dt_s - cx),
             cy + share * (uy / dt_s - cy),
             cz + share * (uz / dt_s - cz),
         )
-        q_v = s.ekf2_acc_noise**2 * s.filter_period_s
-        q_b = s.ekf2_acc_b_noise**2 * s.filter_period_s
+        q_v, q_b, q_a, q_g = self._walks
         self._level.propagate(dt_s, q_v, q_b)
         self._upright.propagate(dt_s, q_v, q_b)
-        self._angle.propagate(
-            dt_s,
-            s.ekf2_gyr_noise**2 * s.filter_period_s,
-            s.ekf2_gyr_b_noise**2 * s.filter_period_s,
-        )
+        self._angle.propagate(dt_s, q_a, q_g)
         self.t_ns = t_ns
         self._history.remember(self._now())
 
     def feed(self, sample: OdometrySample) -> None:
         """Take a pose of the VIO; one that is no number, or older than what is kept, is refused."""
         then = self._history.at(sample.t_ns)
-        if then is None or not np.isfinite(sample.velocity_world).all():
+        if then is None or not all(map(math.isfinite, vec3(sample.velocity_world))):
             self.refused += 1
             return
         x, y, z = sample.world_from_body.translation.tolist()

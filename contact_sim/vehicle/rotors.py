@@ -99,34 +99,48 @@ class Mixer:
         pitching at the very last.
         """
         roll, pitch, yaw = effort.torque_body
-        tilting = [r * roll + p * pitch for r, p in zip(self.per_roll, self.per_pitch, strict=True)]
-        turning = [y * yaw for y in self.per_yaw]
+        r, p, y = self.per_roll, self.per_pitch, self.per_yaw
+        # Rotor by rotor: four are fewer than a loop over them costs
+        tilting = (
+            r[0] * roll + p[0] * pitch,
+            r[1] * roll + p[1] * pitch,
+            r[2] * roll + p[2] * pitch,
+            r[3] * roll + p[3] * pitch,
+        )
+        turning = y[0] * yaw, y[1] * yaw, y[2] * yaw, y[3] * yaw
         low, high = min(tilting), max(tilting)
+        fit = 1.0
         if high - low > MAX_THRUST_N:
             fit = MAX_THRUST_N / (high - low)
-            tilting = [fit * t for t in tilting]
             low, high = fit * low, fit * high
         lift = min(max(0.25 * effort.thrust_n, -low), MAX_THRUST_N - high)
-        base = [lift + t for t in tilting]
-        share = 1.0
-        for b, t in zip(base, turning, strict=True):
-            if t > 0.0:
-                share = min(share, (MAX_THRUST_N - b) / t)
-            elif t < 0.0:
-                share = min(share, -b / t)
-        if share < 1.0:
-            # a little lift is given up for a little turning
-            return self._squeezed(base, turning, max(share, 0.0))
-        a, b, c, d = (p + t for p, t in zip(base, turning, strict=True))
-        return a, b, c, d
+        a, b, c, d = tilting
+        base = lift + fit * a, lift + fit * b, lift + fit * c, lift + fit * d
+        a, b, c, d = _sum(base, turning)
+        if min(a, b, c, d) >= 0.0 and max(a, b, c, d) <= MAX_THRUST_N:
+            return a, b, c, d
+        return _squeezed(base, turning)
 
-    def _squeezed(self, base: list[float], turning: list[float], share: float) -> Thrusts:
-        largest = max(abs(t) for t in turning)
-        share = max(share, min(1.0, YAW_SHARE * MAX_THRUST_N / largest))
-        a, b, c, d = (
-            min(max(p + share * t, 0.0), MAX_THRUST_N) for p, t in zip(base, turning, strict=True)
-        )
-        return a, b, c, d
+
+def _sum(p: Thrusts, q: Thrusts) -> Thrusts:
+    return p[0] + q[0], p[1] + q[1], p[2] + q[2], p[3] + q[3]
+
+
+def _squeezed(base: Thrusts, turning: Thrusts) -> Thrusts:
+    """With as much of the turning as fits, at least ``YAW_SHARE``; lift is given up for that."""
+    share = 1.0
+    for b, t in zip(base, turning, strict=True):
+        if t > 0.0:
+            share = min(share, (MAX_THRUST_N - b) / t)
+        elif t < 0.0:
+            share = min(share, -b / t)
+    largest = max(abs(t) for t in turning)
+    if largest > 0.0:
+        share = max(share, 0.0, min(1.0, YAW_SHARE * MAX_THRUST_N / largest))
+    a, b, c, d = (
+        min(max(p + share * t, 0.0), MAX_THRUST_N) for p, t in zip(base, turning, strict=True)
+    )
+    return a, b, c, d
 
 
 def _four(values: Sequence[float]) -> Thrusts:

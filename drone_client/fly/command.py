@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -19,35 +19,49 @@ from rich.console import Console
 from drone_client.airframe import Airframe, load_airframe
 from drone_client.errors import AirframeError, ClientError, WorldError
 from drone_client.flight_settings import FlightSettings, flight_settings
+from drone_client.fly.lateness import too_slow
 from drone_client.fly.robot import Robot, open_robot
 from drone_client.fly.run import FlyOptions
 from drone_client.fly.run import fly as run_fly
 from drone_client.fly.simulator import Simulator, SimulatorRequest, open_simulator
 from drone_client.fly.terminal import TerminalCockpit
+from drone_client.fly.truly import print_truth, unsafe
 from drone_client.fly.views import checked, told, write_views
+from drone_client.ledger import LEDGER_NAME
 from drone_client.link.choose import link_summary, open_link
 from drone_client.mission import Phase
 from drone_client.ros.names import Flavour
 from drone_client.ros.publish import open_ros, publish_accepted
+from drone_client.run_report import check_folder
 from drone_client.settings import ClientSettings, about, load_settings
 from drone_client.source.choose import REALSENSE
+from drone_client.summary import read_lines
 from drone_client.summary_table import print_summary
 from drone_client.tuning import load_tuning
 from drone_client.viewing.facts import facts_of
 from drone_client.viewing.recorder import FlightRecorder
 from rgbd_wire.clock import MonotonicClock
 
+EXIT_UNWRITTEN = 2
+"""It ended well, and something that was asked for is not on the disk; as with ``replay``."""
 EXIT_NOT_DONE = 3
+EXIT_BROKEN_OFF = 130
 PX4_BOOT_S = 120.0
 """A PX4 that was started for the flight says where it is within this time."""
 DRONE = str(ClientSettings.model_fields["name"].default)
+OF_A_WORLD = ("seed", "board")
+"""Options that no real flight has."""
+OF_A_ROBOT = ("source", "camera", "vio_topic", "lidar_topic", "ahead_topic")
+"""Options that name parts of a real drone, in whose place a simulator puts its own."""
 
 
 def fly(
+    context: typer.Context,
     airframe: Annotated[
         Path | None,
         typer.Option(
-            help="TOML with body_from_camera and body_from_tip of this drone",
+            help="TOML with body_from_camera and body_from_tip of this drone, also of a simulated "
+            "one",
             show_default="needed, but for --sim",
         ),
     ] = None,
@@ -187,7 +201,8 @@ def fly(
     --mcap, --rerun and --video are written when the flight is over, from the run's folder;
     drone-client log writes the first two again at any time.
 
-    Exit code 0: touched and back. 3: the mission ended otherwise, or nobody agreed.
+    Exit code 0: touched and back. 3: the mission ended otherwise, nobody agreed, or, in a simulated
+    world, anything but the tip touched anything, or it pushed beside the mouth. 130: broken off.
 
     Example: drone-client fly --airframe drone.toml --autopilot serial//dev/ttyACM0:921600
 
@@ -195,47 +210,50 @@ def fly(
     """
     console = Console(stderr=True)
     asks = not (yes or dry_run) and (sim is None or hil is not None)
-    _check(sim, hil, airframe, emulated_link, asks=asks)
+    _check(context, sim, hil, emulated_link)
     views = checked(video, mcap, rerun, foxglove, simulated=sim is not None, overwrite=overwrite)
+    body = _airframe(airframe, sim)
+    _check_asked(asks=asks)
+    check_folder(out, overwrite=overwrite)
+    settings_of = partial(
+        load_settings,
+        name=name,
+        tau_max_ms=tau_max_ms,
+        age_max_ms=age_max_ms,
+        tls=tls,
+        onboard_fallback=onboard_fallback,
+        onboard_target=onboard_target,
+        ros_topic=ros_topic,
+        ros_connect=ros_connect,
+        ros_flavour=ros_flavour,
+    )
+    reach: dict[str, Any] = {"connect": connect, "key_file": key_file}
+    settings = settings_of(**reach)
+    parts = _tuned(flight_settings(settings), tuning)
+    _with_keep_outs(parts, body, floor_m, ceiling_m)  # all mistakes before anything is started
     clock = MonotonicClock()
     with ExitStack() as stack:
         stack.enter_context(_heeding_hang_up())
-        world, reach = None, {"connect": connect, "key_file": key_file}
+        world: Simulator | None = None
         if sim is not None:
             _tell_building(console, sim, seed, hil)
-            world = open_simulator(
-                SimulatorRequest(
-                    sim,
-                    seed,
-                    board,
-                    emulated_link,
-                    name or DRONE,
-                    out,
-                    connect is None,
-                    hil,
-                    autopilot,
-                ),
-                clock,
+            request = SimulatorRequest(
+                sim,
+                seed,
+                board,
+                emulated_link,
+                name or DRONE,
+                out,
+                connect is None,
+                hil,
+                autopilot,
+                body,
             )
+            world = open_simulator(request, clock)
             stack.callback(world.close)
-            reach |= world.reach
-        settings = load_settings(
-            **reach,
-            name=name,
-            tau_max_ms=tau_max_ms,
-            age_max_ms=age_max_ms,
-            tls=tls,
-            onboard_fallback=onboard_fallback,
-            onboard_target=onboard_target,
-            ros_topic=ros_topic,
-            ros_connect=ros_connect,
-            ros_flavour=ros_flavour,
-        )
-        if world is not None:
-            floor_m = world.floor_m if floor_m is None else floor_m
-            ceiling_m = world.ceiling_m if ceiling_m is None else ceiling_m
-        body = Airframe() if airframe is None else load_airframe(airframe)
-        parts = _tuned(flight_settings(settings), tuning, world)
+            settings = settings_of(**(reach | world.reach))
+            parts = parts if tuning is not None else world.tuned(parts)
+            floor_m, ceiling_m = _heights(world, floor_m, ceiling_m)
         parts = _with_keep_outs(parts, body, floor_m, ceiling_m)
         cockpit = TerminalCockpit(console, ask=asks)
         stack.callback(cockpit.close)
@@ -250,7 +268,7 @@ def fly(
         link = open_link(settings, clock)
         stack.callback(link.close)
         for warning in link_summary(link).get("warnings", ()):
-            console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
+            _warn(console, f"warning: {warning}", "yellow")
         ros = open_ros(settings, clock)
         if ros is not None:
             stack.callback(ros.close)
@@ -281,28 +299,103 @@ def fly(
         print(json.dumps(summary, indent=2))
     else:
         print_summary(summary)
-    if summary["phase"] != Phase.DONE.value:
-        raise typer.Exit(EXIT_NOT_DONE)
+        print_truth(summary)
+    raise typer.Exit(_verdict(summary, out, console, shared=world is not None and connect is None))
+
+
+def _verdict(summary: dict[str, Any], out: Path, console: Console, *, shared: bool) -> int:
+    """The exit code, and a word about it that the summary has not.
+
+    Args:
+        summary: of the run.
+        out: its folder.
+        console: for the word.
+        shared: the service was started for the flight, on this machine.
+    """
+    done, broken_off = summary["phase"] == Phase.DONE.value, summary["broken_off"]
+    if not done and not broken_off:
+        late = too_slow(read_lines(out / LEDGER_NAME), summary["service_ms"], shared=shared)
+        _warn(console, late, "yellow")
+    if (what := unsafe(summary)) is not None:
+        _warn(console, what, "red")
+        return EXIT_NOT_DONE
+    if broken_off:
+        return EXIT_BROKEN_OFF
+    if not done:
+        return EXIT_NOT_DONE
+    return EXIT_UNWRITTEN if summary["unwritten"] else 0
+
+
+def _warn(console: Console, sentence: str | None, style: str) -> None:
+    if sentence is not None:
+        console.print(sentence, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+def _is_given(context: typer.Context, option: str) -> bool:
+    source = context.get_parameter_source(option)
+    return source is not None and source.name != "DEFAULT"
 
 
 def _check(
-    sim: str | None,
-    hil: str | None,
-    airframe: Path | None,
-    emulated_link: str | None,
-    *,
-    asks: bool,
+    context: typer.Context, sim: str | None, hil: str | None, emulated_link: str | None
 ) -> None:
-    """What a real drone needs, and a simulated one does not; and the other way round."""
-    if sim is None:
-        if hil is not None:
-            raise WorldError("--hil puts a PX4 into a simulated world: which one? --sim says it")
-        if emulated_link is not None:
-            raise WorldError("--link emulates a link for --sim; a real one is as it is")
-        if airframe is None:
-            raise AirframeError("--airframe is needed: where camera and arm sit on this drone")
+    """What a simulated drone alone has, and a real one alone: nothing that is given is ignored.
+
+    Args:
+        context: knows what was given.
+        sim: the world.
+        hil: address of a PX4.
+        emulated_link: its name.
+    """
+    if sim is not None:
+        for option in OF_A_ROBOT:
+            if _is_given(context, option):
+                raise WorldError(
+                    f"{_flag(option)} names a part of a real drone, and --sim has its own: leave "
+                    "one of them out"
+                )
+        if hil is None and _is_given(context, "autopilot"):
+            raise WorldError("--autopilot goes with --hil in --sim, which has a vehicle of its own")
+        return
+    for option in OF_A_WORLD:
+        if _is_given(context, option):
+            raise WorldError(f"{_flag(option)} needs --sim: it is of a simulated world")
+    if hil is not None:
+        raise WorldError("--hil puts a PX4 into a simulated world: which one? --sim says it")
+    if emulated_link is not None:
+        raise WorldError("--link emulates a link for --sim; a real one is as it is")
+
+
+def _check_asked(*, asks: bool) -> None:
     if asks and not sys.stdin.isatty():
         raise ClientError("nobody to ask: run it in a terminal, or with --yes or --dry-run")
+
+
+def _heights(
+    world: Simulator, floor_m: float | None, ceiling_m: float | None
+) -> tuple[float | None, float | None]:
+    """Of floor and ceiling: as the user has them, or as the world does."""
+    return (
+        world.floor_m if floor_m is None else floor_m,
+        world.ceiling_m if ceiling_m is None else ceiling_m,
+    )
+
+
+def _tuned(parts: FlightSettings, tuning: Path | None) -> FlightSettings:
+    return parts if tuning is None else load_tuning(tuning, parts)
+
+
+def _flag(option: str) -> str:
+    return "--" + option.replace("_", "-")
+
+
+def _airframe(path: Path | None, sim: str | None) -> Airframe:
+    """What is flown; nobody flies a real drone by the simulated one's transforms unawares."""
+    if path is not None:
+        return load_airframe(path)
+    if sim is None:
+        raise AirframeError("--airframe is needed: where camera and arm sit on this drone")
+    return Airframe()
 
 
 def _tell_building(console: Console, sim: str, seed: int, hil: str | None) -> None:
@@ -315,13 +408,6 @@ def _tell_building(console: Console, sim: str, seed: int, hil: str | None) -> No
 def _wait_s(wait_s: float, hil: str | None) -> float:
     """For the vehicle's pose; a PX4 that has just been started has to boot."""
     return wait_s if hil is None else max(wait_s, PX4_BOOT_S)
-
-
-def _tuned(parts: FlightSettings, tuning: Path | None, world: Simulator | None) -> FlightSettings:
-    """The settings as the file has them, or as a simulated world asks for."""
-    if tuning is not None:
-        return load_tuning(tuning, parts)
-    return parts if world is None else world.tuned(parts)
 
 
 def _with_keep_outs(

@@ -79,6 +79,8 @@ class _Run:
         odometry: OdometrySource | None,
     ) -> None:
         self.orders = Orders()
+        self.broken_off = False
+        """By a person: Ctrl-C, SIGTERM, a terminal that was closed."""
         self.over = threading.Event()
         """The mission has given the vehicle back."""
         self.sentences: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -289,6 +291,7 @@ def fly(
                 ledger.event(clock.now_ns(), why.event, sentence=why.sentence)
     except KeyboardInterrupt:
         vehicle.release()  # before a word: a terminal may take its time
+        run.broken_off = True
         cockpit.tell("interrupted")
     finally:
         vehicle.release()
@@ -300,6 +303,7 @@ def fly(
     about = {
         "agreed": agreed,
         "dry_run": options.dry_run,
+        "broken_off": run.broken_off,
         "phase": None if mission is None else mission.phase.value,
         "reason": None if mission is None else mission.reason.value,
         "attempts": 0 if mission is None else mission.attempts,
@@ -343,6 +347,7 @@ def _watch(
             if run.orders.now is Order.ABORT:
                 raise
             run.orders.give(Order.ABORT)
+            run.broken_off = True
             cockpit.tell("abort: backing off; once more to give the vehicle back at once")
 
 

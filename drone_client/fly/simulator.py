@@ -8,11 +8,12 @@ gives a ``Simulator``.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final, Protocol, cast
 
+from drone_client.airframe import Airframe
 from drone_client.autopilot import FlyingAutopilot
 from drone_client.errors import WorldError
 from drone_client.flight_settings import FlightSettings
@@ -44,6 +45,8 @@ class SimulatorRequest:
     a vehicle of its own."""
     autopilot: str = ""
     """The client's address of that PX4."""
+    airframe: Airframe = field(default_factory=Airframe)
+    """Of the drone: what the client believes of it, the world has."""
 
 
 class Simulator(Protocol):
@@ -84,7 +87,11 @@ class Simulator(Protocol):
         ...
 
     def report(self) -> dict[str, Any]:
-        """What the flight truly came to; may be asked at any time."""
+        """What the flight truly came to; may be asked at any time.
+
+        The client shows of it what ``truly`` names. ``safe``: nothing but the tip touched anything,
+        and that not beside the mouth.
+        """
         ...
 
     def film(self, run: Path, path: Path, on_progress: Callable[[float], None]) -> None:
@@ -109,8 +116,8 @@ def open_simulator(request: SimulatorRequest, clock: Clock) -> Simulator:
     """The world of a request, running.
 
     Raises:
-        WorldError: no simulator is installed, there is no such world, seed or link, or no service
-            came up.
+        WorldError: no simulator is installed, there is no such world, seed or link, no drone of
+            that airframe, nothing that draws its pictures, or no service came up.
     """
     for entry in entry_points(group=GROUP):
         try:

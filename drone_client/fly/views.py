@@ -22,6 +22,7 @@ from drone_client.viewing.command import (
 )
 from drone_client.viewing.live import Address, parse_address
 from drone_client.viewing.recorder import FlightRecorder
+from drone_client.viewing.whole_file import write_whole
 
 FILMS: Final = (".mp4", ".webm")
 
@@ -104,6 +105,8 @@ def write_views(
     if (video := views.video) is not None and world is not None:
         jobs.append((video, lambda: _film(world, folder, video, console)))
     summary["unwritten"] += summary["recording"]["unwritten"]
+    if (problem := (summary.get("simulated") or {}).get("unwritten")) is not None:
+        summary["unwritten"].append(problem)
     files: list[str] = []
     for path, job in jobs:
         try:
@@ -117,7 +120,7 @@ def write_views(
     summary["files"] = files
     try:
         text = json.dumps(summary, indent=2) + "\n"
-        (folder / SUMMARY_NAME).write_text(text, encoding="utf-8")
+        write_whole(folder / SUMMARY_NAME, text.encode())
     except OSError as error:
         summary["unwritten"].append(f"{folder / SUMMARY_NAME}: {error.strerror}")
 

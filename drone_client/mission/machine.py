@@ -36,6 +36,7 @@ FASTEST_MPS = 1.0
 LATE_S = 0.2
 """Over a longer pause between two ticks nobody can tell a leap from a flight: it is a leap."""
 HEADING_MAX_RAD = 1e3
+UNFELT = ContactState()
 
 
 def begin(now_ns: int) -> MissionState:
@@ -63,7 +64,9 @@ def step(
     if move is not None:
         state = _entered(state, move, obs)
     intent = _intent(state, obs, settings)
-    return replace(state, given_back=intent.give_back), intent
+    if state.given_back is not intent.give_back:
+        state = replace(state, given_back=intent.give_back)
+    return state, intent
 
 
 def _next(state: MissionState, obs: Observation, settings: MissionSettings) -> Move | None:
@@ -90,13 +93,17 @@ def _looked(state: MissionState, obs: Observation, settings: MissionSettings) ->
     """The state with what this tick shows, before anything is decided."""
     now_ns = min(max(state.now_ns, obs.now_ns), LAST_NS)
     passed_ns = now_ns - state.now_ns
+    # A person thinks: nobody waits for a vehicle yet
+    thinks = state.begun_ns is None and obs.senses.order is Order.HOLD
+    lost = obs.senses.odometry_jumped or not obs.own_pose
     state = replace(
-        state, now_ns=now_ns, stood=0 if passed_ns else min(state.stood + 1, 10**6), transition=None
+        state,
+        now_ns=now_ns,
+        stood=0 if passed_ns else min(state.stood + 1, 10**6),
+        transition=None,
+        since_ns=now_ns if thinks else state.since_ns,
+        lost_ns=now_ns if lost else state.lost_ns,
     )
-    if state.begun_ns is None and obs.senses.order is Order.HOLD:
-        state = replace(state, since_ns=now_ns)  # a person thinks; nobody waits for a vehicle yet
-    if obs.senses.odometry_jumped or not obs.own_pose:
-        state = replace(state, lost_ns=now_ns)
     seen = trusted(state, obs)
     good = is_good(seen, settings)
     leapt = _leapt(state, seen, passed_ns / NS_PER_S, settings)
@@ -143,7 +150,7 @@ def _approached(
 ) -> MissionState:
     """Progress of an approach, and what contact feels like."""
     if not state.phase.near or seen is None:
-        return replace(state, contact=ContactState())
+        return state if state.contact == UNFELT else replace(state, contact=UNFELT)
     feeling = Feeling(
         t_ns=state.now_ns,
         x_m=seen.tip_target[0],
@@ -154,10 +161,12 @@ def _approached(
         forward_m=obs.senses.forward_m,
         tip_ahead_m=seen.tip_ahead_m,
     )
-    state = replace(state, contact=feel(state.contact, feeling, settings.contact))
+    contact = feel(state.contact, feeling, settings.contact)
     if seen.tip_target[0] <= state.nearest_m - settings.progress_m:
-        return replace(state, nearest_m=seen.tip_target[0], nearest_ns=state.now_ns)
-    return state
+        return replace(
+            state, contact=contact, nearest_m=seen.tip_target[0], nearest_ns=state.now_ns
+        )
+    return replace(state, contact=contact)
 
 
 def _scanned(state: MissionState, obs: Observation, settings: MissionSettings) -> MissionState:
@@ -210,7 +219,7 @@ def _entered(state: MissionState, move: Move, obs: Observation) -> MissionState:
             )
         case Phase.APPROACH:
             x_m = 0.0 if state.tip_target is None else state.tip_target[0]
-            return replace(state, nearest_m=x_m, nearest_ns=now_ns, contact=ContactState())
+            return replace(state, nearest_m=x_m, nearest_ns=now_ns, contact=UNFELT)
         case Phase.RETREAT:
             return replace(state, touched=state.touched or move.reason is Reason.DWELT)
         case Phase.HOLD:

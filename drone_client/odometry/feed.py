@@ -110,7 +110,9 @@ class OdometryFeed:
             self._resets += 1
             self._on_jump(jump)
         if usable:
-            self._estimator.give_odometry(replace(sample, resets=self._resets % MAX_RESETS))
+            resets = self._resets % MAX_RESETS
+            same = sample.resets == resets
+            self._estimator.give_odometry(sample if same else replace(sample, resets=resets))
 
     def _pass_range(self, name: str, sample: RangeSample | None, lidar: Lidar) -> None:
         if sample is None or sample is self._ranges.get(name):

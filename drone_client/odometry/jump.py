@@ -17,11 +17,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
-import numpy as np
-
 from drone_client.bounds import check_bounds
+from drone_client.cbf.vector import ZERO, Vec3, is_bounded, moved, norm
 from drone_client.odometry import OdometrySample
-from rgbd_wire.geometry import Array, Pose, vector_from_rotation
+from rgbd_wire.geometry import Array, Pose, vec3
 
 NS_PER_S = 1_000_000_000
 FARTHEST_M = 1e5
@@ -157,8 +156,8 @@ class _Track(NamedTuple):
     """The newest sample that fits, and what the ones before leave open."""
 
     motion: Motion
-    slide_world: Array  # (3,) [m]
-    """Fading sum of what the velocities do not explain."""
+    slide_world: Vec3
+    """Fading sum of what the velocities do not explain [m]."""
 
 
 class JumpWatch:
@@ -204,16 +203,14 @@ class JumpWatch:
 
 def is_sane(motion: Motion) -> bool:
     """Whether every number of a sample is one, and none absurd."""
-    place, velocity = motion.world_from_body.translation, motion.velocity_world
-    if not bool(np.all(np.abs(place) <= FARTHEST_M)):
+    velocity = motion.velocity_world
+    if not is_bounded(vec3(motion.world_from_body.translation), FARTHEST_M):
         return False
-    if velocity is None:
-        return True
-    return velocity.shape == (3,) and bool(np.all(np.abs(velocity) <= FASTEST_MPS))
+    return velocity is None or (velocity.shape == (3,) and is_bounded(vec3(velocity), FASTEST_MPS))
 
 
 def _begin(motion: Motion) -> _Track:
-    return _Track(motion, np.zeros(3))
+    return _Track(motion, ZERO)
 
 
 def _step(track: _Track, now: Motion, settings: JumpSettings) -> tuple[Jump | None, _Track]:
@@ -225,13 +222,13 @@ def _step(track: _Track, now: Motion, settings: JumpSettings) -> tuple[Jump | No
             return Jump(reason, now.t_ns, size, allowed), _begin(now)
 
     off, allowed_m = _off(before, now, dt_s, settings)
-    slide = math.exp(-dt_s / settings.slide_s) * track.slide_world + off
+    slide = moved(off, track.slide_world, math.exp(-dt_s / settings.slide_s))
     if now.velocity_world is None:
-        slide = np.zeros(3)
+        slide = ZERO
     for reason, size, allowed in (
-        (JumpReason.POSITION, float(np.linalg.norm(off)), allowed_m),
+        (JumpReason.POSITION, norm(off), allowed_m),
         *_in_motion(before, now, dt_s, settings),
-        (JumpReason.SLIDE, float(np.linalg.norm(slide)), settings.slide_m),
+        (JumpReason.SLIDE, norm(slide), settings.slide_m),
     ):
         if not size <= allowed:
             return Jump(reason, now.t_ns, size, allowed), _begin(now)
@@ -261,21 +258,22 @@ def _in_motion(
     before: Motion, now: Motion, dt_s: float, settings: JumpSettings
 ) -> Iterator[_Check]:
     if before.velocity_world is not None and now.velocity_world is not None:
-        change_mps = float(np.linalg.norm(now.velocity_world - before.velocity_world))
+        change_mps = norm(moved(vec3(now.velocity_world), vec3(before.velocity_world), -1.0))
         allowed_mps = settings.velocity_mps + settings.acceleration_mps2 * dt_s
         yield _Check(JumpReason.VELOCITY, change_mps, allowed_mps)
-    turn = vector_from_rotation(now.world_from_body.rotation @ before.world_from_body.rotation.T)
-    yaw_rad, tilt_rad = abs(float(turn[2])), math.hypot(turn[0], turn[1])
+    turn = now.world_from_body.turned_since(before.world_from_body)
+    yaw_rad, tilt_rad = abs(turn[2]), math.hypot(turn[0], turn[1])
     yield _Check(JumpReason.ATTITUDE, yaw_rad, settings.attitude_rad + settings.yaw_radps * dt_s)
     yield _Check(JumpReason.ATTITUDE, tilt_rad, settings.attitude_rad + settings.tilt_radps * dt_s)
 
 
-def _off(before: Motion, now: Motion, dt_s: float, settings: JumpSettings) -> tuple[Array, float]:
-    """How far the place is from where the velocities lead to (3,) [m], and how far it may be."""
-    moved = now.world_from_body.translation - before.world_from_body.translation
+def _off(before: Motion, now: Motion, dt_s: float, settings: JumpSettings) -> tuple[Vec3, float]:
+    """How far the place is from where the velocities lead to [m], and how far it may be."""
+    start, end = before.world_from_body.translation, now.world_from_body.translation
+    way = moved(vec3(end), vec3(start), -1.0)
     if before.velocity_world is None or now.velocity_world is None:
-        return moved, settings.position_m + settings.speed_mps * dt_s
+        return way, settings.position_m + settings.speed_mps * dt_s
     # Between two known velocities an acceleration of at most A leads at most A dt^2 / 4 astray.
-    mean = 0.5 * (before.velocity_world + now.velocity_world)
+    both = moved(vec3(before.velocity_world), vec3(now.velocity_world))
     spread_m = settings.drift_mps * dt_s + 0.25 * settings.acceleration_mps2 * dt_s**2
-    return moved - mean * dt_s, settings.position_m + spread_m
+    return moved(way, both, -0.5 * dt_s), settings.position_m + spread_m

@@ -6,6 +6,7 @@
     run_folder.py   a run's files as moments in the order of time; grown ones as they come
     foxglove.py     moments -> MCAP, or live to whoever connects
     rerun_file.py   moments -> .rrd
+    whole_file.py   a file has its name only when it is whole
 
 A run folder is all that it takes: of a flight today, last year's, or one that is under way.
 """

@@ -15,9 +15,14 @@ from drone_client.errors import OutputError
 from drone_client.viewing.facts import FlightFacts
 from drone_client.viewing.live import Address, check_free, parse_address
 from drone_client.viewing.run_folder import RunFolder
-from drone_client.viewing.viewer import Viewer, need
+from drone_client.viewing.viewer import FileViewer, need
 
 POLL_S: Final = 0.05
+EXIT_INTERRUPTED: Final = 130
+
+
+class GivenUpError(OutputError):
+    """Somebody did not want to wait for a file."""
 
 
 def log(
@@ -57,7 +62,11 @@ def log(
     check_views(mcap, rerun, address, overwrite=overwrite)
     for path, write in ((mcap, write_mcap), (rerun, write_rerun)):
         if path is not None:
-            write(run, path, overwrite=overwrite, console=console)
+            try:
+                write(run, path, overwrite=overwrite, console=console)
+            except GivenUpError as error:
+                console.print(str(error), style="yellow", markup=False, soft_wrap=True)
+                raise typer.Exit(EXIT_INTERRUPTED) from None
             console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
     if address is not None:
         serve(run, address, console, threading.Event())
@@ -101,28 +110,34 @@ def write_mcap(run: Path, path: Path, *, overwrite: bool, console: Console) -> N
     """Write a run that has ended as MCAP, with a progress bar.
 
     Raises:
-        OutputError: no run is there, the package is missing, or the file cannot be written.
+        OutputError: no run is there, the package is missing, the file cannot be written, or
+            somebody gave it up.
     """
     check_views(path, None, overwrite=overwrite)
     from drone_client.viewing.foxglove import McapFile  # an extra
 
-    _write(run, lambda facts: McapFile(path, facts, overwrite=overwrite), path, console)
+    _write(run, lambda facts: McapFile(path, facts, overwrite=overwrite), "--mcap", path, console)
 
 
 def write_rerun(run: Path, path: Path, *, overwrite: bool, console: Console) -> None:
     """Write a run that has ended for Rerun, with a progress bar.
 
     Raises:
-        OutputError: no run is there, the package is missing, or the file cannot be written.
+        OutputError: no run is there, the package is missing, the file cannot be written, or
+            somebody gave it up.
     """
     check_views(None, path, overwrite=overwrite)
     from drone_client.viewing.rerun_file import RerunFile  # an extra, slow to load
 
-    _write(run, lambda facts: RerunFile(path, facts, overwrite=overwrite), path, console)
+    _write(run, lambda facts: RerunFile(path, facts, overwrite=overwrite), "--rerun", path, console)
 
 
 def _write(
-    run: Path, opener: Callable[[FlightFacts | None], Viewer], path: Path, console: Console
+    run: Path,
+    opener: Callable[[FlightFacts | None], FileViewer],
+    option: str,
+    path: Path,
+    console: Console,
 ) -> None:
     folder = RunFolder(run)
     viewer = opener(folder.facts())
@@ -130,8 +145,15 @@ def _write(
         with progress_bar(console) as progress:
             for moment in progress.track(folder.grown(), description=f"writing {path.name}"):
                 viewer.show(moment)
-    finally:
         viewer.close()
+    except KeyboardInterrupt:
+        viewer.discard()
+        raise GivenUpError(
+            f"{path} was given up; this writes it: drone-client log {run} {option} {path}"
+        ) from None
+    except BaseException:
+        viewer.discard()
+        raise
     if folder.unread:
         console.print(f"{folder.unread} lines could not be read, and are left out", style="yellow")
 

@@ -41,6 +41,7 @@ from drone_client.viewing.outlines import (
 from drone_client.viewing.overlay import caption, marks
 from drone_client.viewing.viewer import answer_numbers, tick_numbers
 from drone_client.viewing.way import Way
+from drone_client.viewing.whole_file import WholeFile
 from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.geometry import Pose
 
@@ -197,13 +198,12 @@ class McapFile:
 
     def __init__(self, path: Path, facts: FlightFacts | None, *, overwrite: bool = False) -> None:
         context = foxglove.Context()
-        self._path = path
+        self._whole = WholeFile(path, overwrite=overwrite)
+        self._file = _DeafFile(self._whole.file)
         try:
-            self._file = _HonestFile(path.open("wb" if overwrite else "xb", buffering=0))
             self._writer = foxglove.open_mcap(self._file, context=context)
-        except FileExistsError:
-            raise OutputError(f"{path} is there already: another name, or --overwrite") from None
-        except (OSError, RuntimeError) as error:
+        except RuntimeError as error:
+            self._whole.discard()
             raise OutputError(f"{path}: {_why(error)}") from None
         self._viewer = FoxgloveViewer(context, facts)
 
@@ -214,44 +214,69 @@ class McapFile:
             OutputError: the disk does not take it.
         """
         self._viewer.show(moment)
-        self._file.check(self._path)
+        self._file.check(self._whole.path)
 
     def close(self) -> None:
         """Finish the file.
 
         Raises:
-            OutputError: it is not whole.
+            OutputError: it is not whole; nothing is left of it.
         """
         try:
             self._writer.close()
-            self._file.close()
+            self._file.check(self._whole.path)
+        except OutputError:
+            self._whole.discard()
+            raise
         except Exception as error:  # the library has a class of its own, and exports it not
-            self._file.check(self._path)
-            raise OutputError(f"{self._path} is not whole: {_why(error)}") from None
+            self._whole.discard()
+            raise OutputError(f"{self._whole.path} is not whole: {_why(error)}") from None
+        self._whole.keep()
+
+    def discard(self) -> None:
+        """Give the file up; nothing is left of it."""
+        self._file.stop()
+        with contextlib.suppress(Exception):  # as in close
+            self._writer.close()
+        self._whole.discard()
 
 
-class _HonestFile:
-    """Keeps a disk's complaint for whoever asks: the library only logs it, with every message."""
+class _DeafFile:
+    """Takes all that the library writes, and keeps a disk's complaint for whoever asks.
+
+    The library would log it, with a traceback, at every message from then on.
+    """
 
     def __init__(self, file: io.FileIO) -> None:
-        self._file = file
+        self._file: io.FileIO | None = file
         self._error: OSError | None = None
+        self._at = self._end = 0
 
     def write(self, data: bytes | bytearray) -> int:
-        try:
-            return self._file.write(data)
-        except OSError as error:
-            self._error = self._error or error
-            raise
+        if self._file is not None:
+            try:
+                left = memoryview(data)
+                while left:  # a disk that is nearly full takes a part
+                    left = left[self._file.write(left) :]
+            except OSError as error:
+                self._error, self._file = error, None
+        self._at += len(data)
+        self._end = max(self._end, self._at)
+        return len(data)
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        return self._file.seek(offset, whence)
+        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._end}[whence]
+        self._at = start + offset
+        if self._file is not None:
+            self._file.seek(self._at)
+        return self._at
 
     def flush(self) -> None:
         """Nothing is held back."""
 
-    def close(self) -> None:
-        self._file.close()
+    def stop(self) -> None:
+        """Write nothing more."""
+        self._file = None
 
     def check(self, path: Path) -> None:
         if self._error is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import threading
 from collections import deque
 from pathlib import Path
@@ -12,12 +13,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drone_client.viewing.whole_file import write_whole
+
 PICTURES_NAME: Final = "pictures"
 QUALITY: Final = 85
 MAX_WAITING: Final = 4
 """Pictures on their way to the disk; one that comes on top is left out."""
 MAX_BYTES: Final = 4_000_000_000
 """Of all pictures of a flight: over half an hour at 30 Hz."""
+KEPT_BYTES: Final = 50_000_000
+"""So much room on the disk is left to ledger and summary, which count more."""
 CLOSE_S: Final = 5.0
 _NAME = re.compile(r"(\d{1,19})\.jpg")
 
@@ -25,8 +30,15 @@ _NAME = re.compile(r"(\d{1,19})\.jpg")
 class PictureWriter:
     """Writes pictures in a thread of its own, so that nobody waits for a disk."""
 
-    def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
+    def __init__(
+        self, folder: Path, max_bytes: int = MAX_BYTES, kept_bytes: int = KEPT_BYTES
+    ) -> None:
         """Make the folder; pictures of an earlier run in it go.
+
+        Args:
+            folder: of the run.
+            max_bytes: of all pictures.
+            kept_bytes: room that is left on the disk.
 
         Raises:
             OSError: it cannot be made.
@@ -39,6 +51,7 @@ class PictureWriter:
         for path, _ in list_pictures(folder):
             path.unlink()
         self._left_bytes = max_bytes
+        self._kept_bytes = kept_bytes
         self._waiting: deque[tuple[int, NDArray[np.uint8]]] = deque()
         self._some = threading.Condition()
         self._closing = False
@@ -81,10 +94,12 @@ class PictureWriter:
             with self._some:
                 self._leave_out("there are as many bytes of pictures as one flight may have")
             return
+        if shutil.disk_usage(self._folder).free < self._kept_bytes:
+            with self._some:
+                self._leave_out("the disk has no more room than ledger and summary need")
+            return
         # whoever follows the flight must not find half a picture
-        part = self._folder / "picture.part"
-        part.write_bytes(data.tobytes())
-        part.replace(self._folder / f"{t_ns}.jpg")
+        write_whole(self._folder / f"{t_ns}.jpg", data.tobytes())
         self._left_bytes -= data.nbytes
         self.written += 1
 

@@ -18,6 +18,7 @@ from drone_client.source import Capture, LiveSource
 from drone_client.viewing.facts import FACTS_NAME, FlightFacts
 from drone_client.viewing.live import Address, LiveView
 from drone_client.viewing.pictures import PictureWriter
+from drone_client.viewing.whole_file import remove_if_empty, write_whole
 from rgbd_wire.camera import RgbdCamera
 from rgbd_wire.messages import pose_numbers
 
@@ -73,14 +74,10 @@ class FlightRecorder:
             SourceError: of the camera's own.
         """
         self._source.start()
-        try:
-            facts = json.dumps(self._facts(self._source.camera).to_json(), indent=2)
-            (self._folder / FACTS_NAME).write_text(facts + "\n", encoding="utf-8")
-            if self._wants_pictures:
-                self._pictures = PictureWriter(self._folder)
-            self._lines = LineWriter({POSES_NAME: self._folder / POSES_NAME})
-        except OSError as error:
-            self._problems.append(f"{error.filename or self._folder}: {error.strerror}")
+        self._try(self._write_facts)
+        if self._wants_pictures:
+            self._try(self._open_pictures)
+        self._try(self._open_poses)
         if self._lines is not None:
             self._thread.start()
         if self._live is not None:
@@ -109,6 +106,8 @@ class FlightRecorder:
             self._thread.join(JOIN_S)
         if self._lines is not None:
             self._lines.close()
+            if self._lines.lost:
+                remove_if_empty(self._folder / POSES_NAME)
         if self._pictures is not None:
             self._pictures.close()
         if self._live is not None:
@@ -125,6 +124,23 @@ class FlightRecorder:
         if live is not None and live.problem is not None:
             problems.append(live.problem)
         return {"pictures": 0 if pictures is None else pictures.written, "unwritten": problems}
+
+    def _try(self, job: Callable[[], None]) -> None:
+        """A disk that does not take one thing may take the next."""
+        try:
+            job()
+        except OSError as error:
+            self._problems.append(f"{error.filename or self._folder}: {error.strerror}")
+
+    def _write_facts(self) -> None:
+        facts = json.dumps(self._facts(self._source.camera).to_json(), indent=2)
+        write_whole(self._folder / FACTS_NAME, f"{facts}\n".encode())
+
+    def _open_pictures(self) -> None:
+        self._pictures = PictureWriter(self._folder)
+
+    def _open_poses(self) -> None:
+        self._lines = LineWriter({POSES_NAME: self._folder / POSES_NAME})
 
     def _run(self) -> None:
         lines, seen_ns = self._lines, None

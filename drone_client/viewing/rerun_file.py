@@ -7,7 +7,6 @@ the drone's monotonic clock.
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,6 +35,7 @@ from drone_client.viewing.outlines import (
 from drone_client.viewing.overlay import caption, marks
 from drone_client.viewing.viewer import answer_numbers, tick_numbers
 from drone_client.viewing.way import Way
+from drone_client.viewing.whole_file import WholeFile
 from rgbd_wire.geometry import Pose
 
 TIMELINE: Final = "drone_time"
@@ -58,17 +58,11 @@ class RerunFile:
     """
 
     def __init__(self, path: Path, facts: FlightFacts | None, *, overwrite: bool = False) -> None:
-        self._path = path
         self._facts = facts
         self._way, self._true_way = Way(), Way()
         self._way_due_ns = 0
         self._unwritten = 0
-        try:
-            self._file = path.open("wb" if overwrite else "xb")
-        except FileExistsError:
-            raise OutputError(f"{path} is there already: another name, or --overwrite") from None
-        except OSError as error:
-            raise OutputError(f"{path}: {error.strerror}") from None
+        self._whole = WholeFile(path, overwrite=overwrite)
         self._stream = rr.RecordingStream("aerial-contact")
         rr.set_log_time_enabled(False, self._stream)  # when it was written down is nobody's time
         # Through our hands: the library, where a disk is full, waits for ever
@@ -112,23 +106,28 @@ class RerunFile:
         """Finish the file.
 
         Raises:
-            OutputError: it is not whole.
+            OutputError: it is not whole; nothing is left of it.
         """
         try:
             self._write(self._bytes.read(flush=True, flush_timeout_sec=FLUSH_S))
-            self._file.close()
-        except OSError as error:
-            raise OutputError(f"{self._path} is not whole: {error.strerror}") from None
-        finally:
-            self._stream.disconnect()
-            with contextlib.suppress(OSError):
-                self._file.close()
+        except OutputError:
+            self.discard()
+            raise
+        self._stream.disconnect()
+        self._whole.keep()
+
+    def discard(self) -> None:
+        """Give the file up; nothing is left of it."""
+        self._stream.disconnect()
+        self._whole.discard()
 
     def _write(self, data: bytes | None) -> None:
         try:
-            self._file.write(data or b"")
+            left = memoryview(data or b"")
+            while left:  # a disk that is nearly full takes a part
+                left = left[self._whole.file.write(left) :]
         except OSError as error:
-            raise OutputError(f"{self._path} is not whole: {error.strerror}") from None
+            raise OutputError(f"{self._whole.path} is not whole: {error.strerror}") from None
 
     def _show_settled(self, moment: Settled) -> None:
         for name, value in answer_numbers(moment).items():

@@ -29,6 +29,14 @@ class Viewer(Protocol):
         ...
 
 
+class FileViewer(Viewer, Protocol):
+    """One that is a file, which has its name only when it is whole."""
+
+    def discard(self) -> None:
+        """Give the file up; nothing is left of it."""
+        ...
+
+
 def need(package: str, option: str) -> None:
     """Make sure that a viewer's library is there, without loading it.
 

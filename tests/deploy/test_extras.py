@@ -32,7 +32,7 @@ import drone_client.cli, drone_client.load_test, drone_client.snap, drone_client
 """
 OF_A_SIMULATOR = """
 import contact_sim.campaign.command, contact_sim.figures.command, contact_sim.hil.command
-import contact_sim.flight.plugin, contact_sim.recording.film
+import contact_sim.flight.world, contact_sim.recording.film
 from contact_sim.campaign.run import Job, fly_job
 row = fly_job(Job("tunnel", 0, "clean", "wifi"))
 assert not row.error, row.error

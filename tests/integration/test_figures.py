@@ -14,6 +14,8 @@ from contact_sim.figures.catalogue import CATALOGUE
 from contact_sim.figures.style import caption_of
 
 ROOT = Path(__file__).parents[2]
+FLOWN = [e.name for e in CATALOGUE if e.name not in ("contact-force", "fly-by", "conditions")]
+"""Their captions end with who looked; the others say it on their way."""
 
 
 @pytest.mark.timeout(900)
@@ -34,13 +36,16 @@ def test_every_figure_is_drawn_and_the_page_shows_them_all(tmp_path):
     assert list(result["drawn"]) == [entry.name for entry in CATALOGUE]
     assert result["failed"] == {}
     text = page.read_text()
+    assert f"`scripts/figures --quick --out {out} --page {page}`" in text
     for entry in CATALOGUE:
+        assert f"`scripts/figures {entry.name} --quick`" in text
         path = out / f"{entry.name}.png"
         assert caption_of(path) in text
         with Image.open(path) as picture:
             assert picture.width == 1000
     assert "Poses that are at no board: 0." in caption_of(out / "fly-by.png")
     assert "2 of 2 found" in caption_of(out / "conditions.png")
+    assert all("Flown with" in caption_of(out / f"{name}.png") for name in FLOWN)
     # the service's log goes beside where one works, and nothing else does
     assert {p.name for p in tmp_path.iterdir()} == {"figures", "figures.md", "runs"}
 

@@ -13,10 +13,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import typer
 from rich.console import Console
+from typer.testing import CliRunner
 from websockets.sync.client import connect
 
-from contact_sim.flight.plugin import SimulatedWorld
+from contact_sim.flight.world import SimulatedWorld
+from contact_sim.recording.command import film
 from contact_sim.recording.film import CHASE, HEIGHT, RATE_HZ, WIDTH
 from contact_sim.scene import build_scene
 from drone_client.airframe import Airframe
@@ -125,6 +128,25 @@ def test_a_film_needs_a_folder_to_go_to(flight: tuple[Path, SimulatedWorld]):
     folder, world = flight
     with pytest.raises(WorldError, match="cannot be written: no such folder"):
         world.film(folder, folder / "nowhere" / "film.webm", lambda share: None)
+
+
+def test_a_film_is_made_again_from_the_files_alone(flight: tuple[Path, SimulatedWorld]):
+    """By its command; the world is the one that was flown in."""
+    folder, world = flight
+    out, again = folder / "again.webm", folder / "first.webm"
+    world.film(folder, again, lambda share: None)
+    app = typer.Typer(rich_markup_mode=None)
+    app.command()(film)
+    done = CliRunner().invoke(app, [str(folder), str(out)])
+    assert done.exit_code == 0, done.output
+    assert done.stderr.splitlines()[-1] == f"wrote {out}"
+    videos = [cv2.VideoCapture(str(path)) for path in (again, out)]
+    frames = [int(video.get(cv2.CAP_PROP_FRAME_COUNT)) for video in videos]
+    assert frames[0] == frames[1]
+    for video in videos:
+        video.set(cv2.CAP_PROP_POS_FRAMES, frames[0] // 2)
+    first, second = (video.read()[1].astype(int) for video in videos)
+    assert np.abs(first - second).mean() < 1.0
 
 
 def test_the_log_of_a_simulated_flight_has_its_truth(flight: tuple[Path, SimulatedWorld]):

@@ -193,6 +193,7 @@ def test_it_flies_to_contact_and_comes_back(tmp_path):
     scene = Scene(tmp_path)
     summary = scene.fly()
     assert (summary["phase"], summary["agreed"]) == ("done", True), scene.person.told
+    assert not summary["broken_off"]
     assert scene.phases()[:2] == ["search", "align"]
     assert scene.phases()[-4:] == ["approach", "contact", "retreat", "done"]
     assert len(scene.person.asked) == 1
@@ -273,6 +274,7 @@ def test_an_interrupt_backs_off_and_gives_back(tmp_path):
     scene.when(Phase.APPROACH, interrupt, nearer_than_m=0.25)
     summary = scene.fly()
     assert (summary["phase"], summary["reason"]) == ("abort", "ordered_abort")
+    assert summary["broken_off"]
     assert scene.vehicle.mode == "AUTO.LOITER"
     events = scene.lines(EVENTS_NAME)
     aborted_ns = next(e["t_ns"] for e in events if e.get("after") == "abort")
@@ -304,7 +306,7 @@ def test_a_second_interrupt_gives_back_at_once(tmp_path):
 
     scene.person.tell = told
     before = time.monotonic()
-    scene.fly()
+    assert scene.fly()["broken_off"]
     assert modes["interrupted"] == "AUTO.LOITER"  # a terminal that hangs does not keep it
     assert time.monotonic() - before < 60
     assert scene.vehicle.mode == "AUTO.LOITER"

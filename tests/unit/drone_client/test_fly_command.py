@@ -17,6 +17,7 @@ from drone_client.fly.cockpit import View
 from drone_client.fly.command import _heeding_hang_up
 from drone_client.fly.orders import Orders
 from drone_client.fly.terminal import TerminalCockpit, flight_lines
+from drone_client.ledger import LEDGER_NAME
 from drone_client.mission import Order
 from drone_client.tally import Tally
 from rgbd_wire.clock import MonotonicClock
@@ -72,6 +73,58 @@ def test_a_simulated_flight_that_cannot_be_is_told_before_it_begins(
     result = CliRunner().invoke(app, ["fly", *arguments])
     assert isinstance(result.exception, ClientError)
     assert says in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--seed", "3"), "--seed needs --sim"),
+        (("--board", "clean"), "--board needs --sim"),
+        (("--video", "x.mp4"), "--video shows a simulated world, with --sim"),
+        (("--link", "wifi"), "--link emulates a link for --sim"),
+        (("--sim", "tunnel", "--source", "realsense"), "--source names a part of a real drone"),
+        (("--sim", "tunnel", "--camera", "c.json"), "--camera names a part of a real drone"),
+        (("--sim", "tunnel", "--vio-topic", "/vio"), "--vio-topic names a part of a real drone"),
+        (("--sim", "tunnel", "--lidar-topic", "/down"), "--lidar-topic names a part"),
+        (("--sim", "tunnel", "--ahead-topic", "/ahead"), "--ahead-topic names a part"),
+        (("--sim", "tunnel", "--autopilot", "udp/127.0.0.1:1"), "--autopilot goes with --hil"),
+        (("--sim", "tunnel", "--airframe", "nowhere.toml"), "airframe file nowhere.toml: No such"),
+        (("--sim", "tunnel", "--tuning", "nowhere.toml"), "tuning file nowhere.toml: No such"),
+        (("--sim", "tunnel", "--tau-max-ms", "900"), "exceeds --age-max-ms"),
+    ],
+)
+def test_what_does_not_go_together_is_told_before_a_world_is_built(
+    arguments: tuple[str, ...], says: str, tmp_path: Path
+):
+    """Nothing that was given is silently ignored; each line names the option at fault."""
+    out = tmp_path / "run"
+    result = CliRunner().invoke(app, ["fly", *arguments, "--out", str(out)])
+    assert isinstance(result.exception, ClientError)
+    assert says in str(result.exception)
+    assert "building" not in result.stderr
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("which", [("--sim", "tunnel"), ("--yes", "--airframe", AIRFRAME)])
+def test_a_folder_that_is_refused_is_left_as_it_was(which: tuple[str, ...], tmp_path: Path):
+    """An earlier run in it, a file in its place, a file above it: told at once."""
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / LEDGER_NAME).write_text("{}\n")
+    (run / "edge-service.log").write_text("of the earlier run")
+    for out, says in (
+        (run, "holds an earlier run: give another --out, or --overwrite"),
+        (run / LEDGER_NAME, "is a file"),
+        (run / LEDGER_NAME / "below", "is a file"),
+    ):
+        result = CliRunner().invoke(app, ["fly", *which, "--out", str(out)])
+        assert isinstance(result.exception, ClientError)
+        assert says in str(result.exception)
+        assert "building" not in result.stderr
+    assert {p.name: p.read_text() for p in run.iterdir()} == {
+        LEDGER_NAME: "{}\n",
+        "edge-service.log": "of the earlier run",
+    }
 
 
 def view(accepted: int = 3) -> View:

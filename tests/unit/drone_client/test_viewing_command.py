@@ -92,6 +92,30 @@ def test_a_film_is_of_a_simulated_flight(tmp_path: Path):
     assert not checked(None, None, None, None, simulated=True, overwrite=False).wants_pictures
 
 
+@pytest.mark.parametrize(
+    ("option", "shows"),
+    [("--mcap", "foxglove.McapFile.show"), ("--rerun", "rerun_file.RerunFile.show")],
+)
+def test_an_interrupt_leaves_nothing_and_says_how_to_write_it_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, shows: str
+):
+    """Exit code 130 of the command; after a flight it is a sentence of the summary."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(f"drone_client.viewing.{shows}", interrupted)
+    run, out = write_run(tmp_path / "run"), tmp_path / "a.out"
+    result = CliRunner().invoke(app, ["log", str(run), option, str(out)])
+    sentence = f"{out} was given up; this writes it: drone-client log {run} {option} {out}"
+    assert (result.exit_code, result.stderr.strip()) == (130, sentence)
+    summary = {"unwritten": [], "recording": {"pictures": 8, "unwritten": []}}
+    views = Views(mcap=out) if option == "--mcap" else Views(rerun=out)
+    write_views(views, run, summary, None, Console(quiet=True), overwrite=False)
+    assert summary["unwritten"] == [sentence]
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+
+
 def test_what_could_not_be_written_is_in_the_summary(tmp_path: Path):
     """One file that cannot be keeps no other from being."""
     run = write_run(tmp_path / "run")

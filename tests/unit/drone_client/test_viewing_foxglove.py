@@ -220,7 +220,7 @@ except OutputError as error:
 
 @pytest.mark.parametrize("writer", ["write_mcap", "write_rerun"])
 def test_a_disk_that_is_full_is_told(tmp_path: Path, writer: str):
-    """In one sentence with the file's name, whichever library meets it."""
+    """In one sentence with the file's name, whichever library meets it; nothing is left of it."""
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[1] == resource.RLIM_INFINITY
     run, path = write_run(tmp_path / "run"), tmp_path / "flight.out"
     done = subprocess.run(
@@ -230,4 +230,6 @@ def test_a_disk_that_is_full_is_told(tmp_path: Path, writer: str):
         timeout=120,
     )
     assert done.returncode == 7, done.stderr
-    assert "flight.out" in done.stdout
+    assert done.stdout == f"{path} is not whole: File too large\n"
+    assert done.stderr == ""
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]

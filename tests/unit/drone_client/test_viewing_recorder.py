@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from pathlib import Path
 
 import cv2
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from drone_client.autopilot import VehicleState
+from drone_client.line_writer import LineWriter
 from drone_client.source import Capture
 from drone_client.viewing.facts import load_facts
 from drone_client.viewing.pictures import PictureWriter, list_pictures
@@ -127,6 +128,39 @@ def test_a_disk_that_takes_nothing_ends_no_flight(tmp_path: Path):
     assert "pictures: File exists" in problem
 
 
+def test_what_one_file_cannot_have_another_may(tmp_path: Path):
+    """Where the facts cannot be written, poses and pictures are."""
+    (tmp_path / "flight.json").mkdir()
+    recorder = record(tmp_path, Still([gradient(0)]))
+    report = recorder.report()
+    assert report["pictures"] == 1
+    (problem,) = report["unwritten"]
+    assert problem.startswith(f"{tmp_path / 'flight.json'}: ")
+    assert (tmp_path / "poses.jsonl").stat().st_size > 0
+
+
+def test_poses_that_the_disk_does_not_take_leave_no_empty_file(tmp_path: Path, monkeypatch):
+    """It would look like a record of a drone that never moved."""
+
+    def full(self: LineWriter, batch: Sized) -> None:
+        self.lost += len(batch)
+
+    monkeypatch.setattr(LineWriter, "_write", full)
+    recorder = record(tmp_path, Still([]))
+    (problem,) = recorder.report()["unwritten"]
+    assert problem.endswith("lines of poses.jsonl")
+    assert not (tmp_path / "poses.jsonl").exists()
+
+
+def test_pictures_leave_room_on_the_disk(tmp_path: Path):
+    """Ledger and summary count more."""
+    writer = PictureWriter(tmp_path, kept_bytes=1 << 60)
+    writer.put(1, gradient(0))
+    writer.close()
+    assert (writer.written, writer.left_out) == (0, 1)
+    assert writer.problem == "the disk has no more room than ledger and summary need"
+
+
 def test_pictures_end_where_their_bytes_do(tmp_path: Path):
     """And what was left out is counted, with the reason."""
     noise = np.random.default_rng(0).integers(0, 255, (120, 160, 3), dtype=np.uint8)
@@ -144,6 +178,7 @@ def test_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """By its own words; the pictures after it are tried all the same."""
 
     def full(self: Path, data: bytes) -> int:
+        self.touch()
         raise OSError(28, "No space left on device")
 
     writer = PictureWriter(tmp_path)
@@ -153,6 +188,7 @@ def test_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     writer.close()
     assert (writer.written, writer.left_out) == (0, 2)
     assert writer.problem == "No space left on device"
+    assert list((tmp_path / "pictures").iterdir()) == []
 
 
 def test_a_picture_after_the_end_is_left_out(tmp_path: Path):

@@ -212,6 +212,14 @@ def test_interpolation(a, b, s):
     assert_same_pose(a.interpolate(b, 1.0), b)
 
 
+@given(poses, poses)
+def test_turned_since_leads_from_one_attitude_to_the_other(a, b):
+    """The rotation vector turns the other attitude into this one, the short way."""
+    turn = np.array(b.turned_since(a))
+    assert np.linalg.norm(turn) <= math.pi + 1e-12
+    np.testing.assert_allclose(rotation_from_vector(turn) @ a.rotation, b.rotation, atol=1e-9)
+
+
 @given(poses)
 def test_matrix_round_trip(a):
     """``from_matrix`` and ``from_rotation`` undo ``matrix`` and ``rotation``."""

@@ -10,11 +10,11 @@ import pytest
 from scipy.stats import binomtest
 from typer.testing import CliRunner
 
-from contact_sim.__main__ import app
 from contact_sim.campaign.faults import Fault, Kind
 from contact_sim.campaign.report import page, summary, wilson
 from contact_sim.campaign.row import NAMES, FlightRow, as_cells, from_cells
 from contact_sim.campaign.run import Job, Table, ablated, fly_campaign, fly_job, plan, read_table
+from contact_sim.commands import app
 from contact_sim.errors import CampaignError, ServiceError, SimulatorError
 from contact_sim.lockstep.flight import LockstepSettings
 

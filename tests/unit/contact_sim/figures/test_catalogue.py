@@ -29,17 +29,21 @@ def test_names_choose_in_the_order_of_the_page():
         chosen(["nose"])
 
 
+COMMANDS = {"gate": "scripts/figures gate", "barrier": "scripts/figures barrier --service"}
+
+
 def test_the_page_shows_what_is_there_with_the_captions_inside(tmp_path):
-    """The paper's first; links lead from the page to the files."""
+    """The paper's first, each with its own command; links lead from the page to the files."""
     figures = tmp_path / "docs" / "figures"
     for name in ("gate", "barrier"):
-        save(new_figure(1.0), figures / f"{name}.png", f"What {name} shows.")
+        save(new_figure(1.0), figures / f"{name}.png", f"What {name} shows.", COMMANDS[name])
     path = tmp_path / "docs" / "figures.md"
     write_page(path, figures)
     text = path.read_text()
     assert text.index("What barrier shows.") < text.index("What gate shows.")
     assert "](figures/gate.png)" in text
-    assert "`scripts/figures barrier`" in text
+    assert f"`{COMMANDS['barrier']}`" in text
+    assert f"`scripts/figures --service --out {figures} --page {path}`" in text
     assert "commands.png" not in text
 
 

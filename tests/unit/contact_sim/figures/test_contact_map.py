@@ -9,16 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from contact_sim.campaign.row import NAMES, FlightRow, as_cells, flight_row
+from contact_sim.campaign.row import NAMES, Flight, FlightRow, as_cells, flight_row
 from contact_sim.errors import FigureError
 from contact_sim.figures import contact_force, contact_map
-from contact_sim.figures.bench import FigureBench
+from contact_sim.figures.bench import MODEL_WORDS, SERVICE_WORDS, FigureBench
 from contact_sim.figures.run import Run
 
 
 @pytest.fixture(scope="module")
 def row(run: Run) -> FlightRow:
-    return flight_row("tunnel", 3, "none", "none", run.flown, None, 1.0)
+    flight = Flight("tunnel", 3, "clean", "wifi", "model", "none", "none")
+    return flight_row(flight, run.flown, None, 1.0)
 
 
 def table(folder: Path, rows: list[FlightRow]) -> Path:
@@ -57,9 +58,20 @@ def test_the_map_says_how_many_touched_where(row, tmp_path, bench):
     ]
     assert "in the tunnel 1 of 2 touched within 2 cm" in caption
     assert "in the refinery 0 of 1 touched within 2 cm" in caption
+    assert caption.endswith("Flown with a localiser's measured errors instead of pictures.")
     figure, caption = contact_force.draw(bench)
     assert len(figure.axes) == 4
-    assert "2 flights that touched" in caption
+    assert "2 flights that touched, with a localiser's measured errors" in caption
+    assert "flown with a localiser's measured errors" in caption
+
+
+def test_flights_through_a_service_are_told_as_such(row):
+    """The table knows who looked."""
+    bench = FigureBench()
+    bench.__dict__["many"] = [replace(row, eyes="service")]
+    assert bench.many_eyes_words == SERVICE_WORDS
+    bench.__dict__["many"].append(replace(row, eyes="model"))
+    assert bench.many_eyes_words == f"{MODEL_WORDS}, some {SERVICE_WORDS}"
 
 
 def test_the_smoothed_force_keeps_what_was_pushed():

@@ -48,3 +48,13 @@ def test_it_is_drawn(bench: FigureBench):
     figure, caption = gate.draw(bench)
     assert len(figure.axes) == 3
     assert "were refused" in caption
+    assert "measured errors instead of pictures" in caption
+    plane, times, tip = figure.axes
+    assert not plane.texts
+    # what is shaded and what is dotted have names of their own
+    names = {text.get_text() for text in tip.texts}
+    assert {text.get_text() for text in times.texts} == names
+    assert {"hold", "brake", "retreat"} <= names
+    shaded = {text.get_text() for text in tip.get_legend().get_texts()}
+    assert len(shaded) == 3
+    assert not shaded & names

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_sim.figures import barrier, cbf_boundary, commands, pose_errors
+from contact_sim.figures import barrier, cbf_boundary, commands, contact_force, pose_errors
 from drone_client.cbf import Funnel
 from drone_client.mission import Phase
 
@@ -51,11 +53,40 @@ def test_it_lines_up_before_it_closes_in(run):
     assert (np.hypot(run.tip[later, 1], run.tip[later, 2]) <= 0.05).all()
 
 
+def test_where_the_filter_is_not_certain_is_said(bench, run):
+    """The least of what it was certain of; the true h is more all along."""
+    before_m, after_m = barrier.least_certain(run)
+    later = run.tick_t_s >= run.began(Phase.APPROACH)
+    assert min(before_m, after_m) == np.nanmin(run.h_certain[later])
+    assert after_m < 0.0 < barrier.least(run)[0]
+    caption = barrier.draw(bench)[1]
+    assert f"{1e3 * after_m:.0f} mm in the retreat" in caption
+    assert "docs/cbf.md, section 3" in caption
+
+
+def test_a_tip_that_comes_off_again_is_said(bench, run):
+    """It bounces once, and presses from then on."""
+    ((start_s, end_s),) = contact_force.breaks(run)
+    after_s = np.array([p.t_s for p in run.pushes]) - run.touch_s
+    forces = np.array([p.force_n for p in run.pushes])
+    assert (forces[(after_s >= start_s) & (after_s <= end_s)] == 0.0).all()
+    assert forces[(after_s >= 0.0) & (after_s < start_s)].max() > 0.3
+    said = contact_force._of_breaks((run, run))
+    assert f"a run from {start_s:.1f} to {end_s:.1f} s" in said
+
+
+def test_a_run_that_is_at_the_board_twice_is_said(run):
+    """Both attempts are drawn, in one colour."""
+    twice = replace(run, label="run 1", flown=replace(run.flown, attempts=2))
+    assert cbf_boundary._again((run, run)) == ""
+    assert "Run 1 backs off on its way in" in cbf_boundary._again((twice, run))
+
+
 @pytest.mark.parametrize("module", [cbf_boundary, barrier, pose_errors, commands])
 def test_each_is_drawn_with_units_on_every_axis(module, bench):
     """A label that names no unit cannot be read."""
     figure, caption = module.draw(bench)
-    assert caption.endswith(".")
+    assert caption.endswith("Flown with a localiser's measured errors instead of pictures.")
     assert "nan" not in caption
     labels = [
         label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label

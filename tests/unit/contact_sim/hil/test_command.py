@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typer.testing import CliRunner
 
-from contact_sim.__main__ import app
+from contact_sim.commands import app
 
 
 def test_the_help_teaches():

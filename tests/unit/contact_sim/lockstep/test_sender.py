@@ -1,4 +1,4 @@
-"""How frames leave in lockstep: the newest one, when the link is free for it, as lean as it takes."""
+"""How frames leave in lockstep: the newest, when the link is free for it, as lean as it takes."""
 
 from __future__ import annotations
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
+import time
+from collections import namedtuple
 from pathlib import Path
 
 import cv2
@@ -11,7 +14,8 @@ import numpy as np
 import pytest
 
 from contact_sim.errors import FilmError
-from contact_sim.recording.encoder import VideoFile
+from contact_sim.recording import encoder
+from contact_sim.recording.encoder import PICTURE, VideoFile
 
 WIDTH, HEIGHT, FRAMES = 160, 96, 12
 
@@ -75,6 +79,92 @@ def test_a_film_that_is_broken_off_leaves_nothing(tmp_path: Path):
     assert path.read_bytes() == b"earlier"
 
 
+def test_a_film_is_given_up_at_once(tmp_path: Path):
+    """VP9 holds 25 pictures back, which would take it ten seconds; nobody waits for them."""
+    noise = np.random.default_rng(0).integers(0, 255, (720, 1280, 3), dtype=np.uint8)
+    begun: list[float] = []
+
+    def half() -> None:
+        with VideoFile(tmp_path / "a.mp4", 1280, 720, 25.0) as video:
+            for i in range(8):
+                video.add(np.roll(noise, i, axis=1))
+            begun.append(time.monotonic())
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        half()
+    assert time.monotonic() - begun[0] < 1.0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_encoder_that_dies_is_told_and_nobody_waits_for_it(tmp_path: Path):
+    """Whatever it died of."""
+    path = tmp_path / "a.webm"
+
+    def filming() -> None:
+        with VideoFile(path, WIDTH, HEIGHT, 25.0) as video:
+            video.add(picture(0))
+            video._process.kill()
+            while True:
+                video.add(picture(1))
+
+    with pytest.raises(FilmError, match=r"a\.webm could not be encoded: the encoder has ended"):
+        filming()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_encoder_that_dies_at_the_end_is_told(tmp_path: Path):
+    """A film that is not whole has no name."""
+
+    def filming() -> None:
+        with VideoFile(tmp_path / "a.webm", WIDTH, HEIGHT, 25.0) as video:
+            video.add(picture(0))
+            video._process.kill()
+
+    with pytest.raises(FilmError, match="the encoder has ended"):
+        filming()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_without_room_ends_it_early(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Not after minutes of encoding."""
+    full = namedtuple("Usage", "free")(10_000)
+    monkeypatch.setattr(encoder.shutil, "disk_usage", lambda folder: full)
+    frame = PICTURE + picture(0).tobytes()
+    words = io.BytesIO()
+    path = tmp_path / ".a.part.webm"
+    assert encoder.encode(path, WIDTH, HEIGHT, 25.0, io.BytesIO(50 * frame), words) == 1
+    assert words.getvalue() == b"rthe disk is full"
+    assert list(tmp_path.iterdir()) == []
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+import numpy as np
+from contact_sim.recording.encoder import VideoFile
+video = VideoFile(Path(sys.argv[1]), 160, 96, 25.0)
+video.add(np.zeros((96, 160, 3), dtype=np.uint8))
+print(video._process.pid, flush=True)
+os._exit(9)
+"""
+
+
+def test_who_is_killed_leaves_no_encoder_and_no_half_film(tmp_path: Path):
+    """It ends with whoever sends the pictures."""
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, str(tmp_path / "a.webm")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 9, done.stderr
+    give_up = time.monotonic() + 20.0
+    while list(tmp_path.iterdir()):
+        assert time.monotonic() < give_up
+        time.sleep(0.05)
+
+
 FULL = """
 import resource, signal, sys
 from pathlib import Path
@@ -103,4 +193,5 @@ def test_a_disk_that_is_full_is_told(tmp_path: Path, suffix: str):
     )
     assert done.returncode == 7, done.stderr
     assert "came out broken: is the disk full?" in done.stdout
+    assert done.stderr == ""
     assert list(tmp_path.iterdir()) == []

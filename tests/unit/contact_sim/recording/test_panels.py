@@ -20,7 +20,7 @@ WIDTH, HEIGHT = 600, 450
 
 @pytest.fixture(scope="module")
 def reel(tmp_path_factory: pytest.TempPathFactory) -> Reel:
-    return load_reel(fly(tmp_path_factory.mktemp("flight")))
+    return load_reel(fly(tmp_path_factory.mktemp("flight")))[0]
 
 
 def corner(reel: Reel, instant: Instant) -> tuple[int, int]:

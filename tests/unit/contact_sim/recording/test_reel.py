@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,12 @@ from contact_sim.errors import FilmError
 from contact_sim.recording.reel import Reel, load_reel
 from tests.unit.contact_sim.flights import AIRFRAME, BOARD
 from tests.unit.contact_sim.recording.flown import DELAY_NS, MS, START_NS, fly
-from tests.unit.drone_client.view_builders import write_run
+from tests.unit.drone_client.view_builders import write_lines, write_run
 
 
 @pytest.fixture(scope="module")
 def reel(tmp_path_factory: pytest.TempPathFactory) -> Reel:
-    return load_reel(fly(tmp_path_factory.mktemp("flight")))
+    return load_reel(fly(tmp_path_factory.mktemp("flight")))[0]
 
 
 def test_the_newest_picture_has_its_own_answer(reel: Reel):
@@ -82,3 +83,25 @@ def test_a_flight_without_a_simulator_cannot_be_filmed(tmp_path: Path):
         load_reel(write_run(tmp_path / "real"))
     with pytest.raises(FilmError, match=r"there is no flight\.json"):
         load_reel(write_run(tmp_path / "replay", known=False))
+
+
+def test_a_truth_of_another_simulator_is_told(tmp_path: Path):
+    """One without the coordinates that this one draws by."""
+    run = fly(tmp_path, 0.2)
+    lines = [json.loads(line) for line in (run / "truth.jsonl").read_text().splitlines()]
+    for wrong in (None, [0.0] * 7, ["x"] * 8):
+        write_lines(run / "truth.jsonl", [line | {"qpos": wrong} for line in lines])
+        with pytest.raises(FilmError, match="not written as this simulator does"):
+            load_reel(run)
+
+
+def test_a_record_that_was_cut_off_is_filmed_as_far_as_it_goes(tmp_path: Path):
+    """Half a line is left out and counted; what is missing is known."""
+    run = fly(tmp_path)
+    whole = (run / "truth.jsonl").read_bytes()
+    (run / "truth.jsonl").write_bytes(whole[: len(whole) // 2] + b"\n")
+    reel, unread = load_reel(run)
+    assert unread == 1
+    assert reel.end_ns == reel.truths[-1].t_ns
+    assert 0.3 < reel.missing_s < 0.7
+    assert reel.has_pictures

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from contact_sim.recording.truth import PERIOD_NS, TruthWriter
+from drone_client.line_writer import LineWriter
 from drone_client.viewing.moments import truly
 from tests.unit.contact_sim.flights import BOARD, simulation
 
@@ -74,3 +75,31 @@ def test_a_folder_that_takes_nothing_ends_no_flight(tmp_path: Path):
     writer.close()
     assert writer.problem is not None
     assert "truth.jsonl: No such file or directory" in writer.problem
+
+
+def test_the_world_is_written_as_the_flight_begins(tmp_path: Path):
+    """A flight that is killed can be filmed, too."""
+    sim, writer = simulation(), TruthWriter(tmp_path)
+    writer.begin()
+    sim.step(2)
+    for i in range(3):
+        writer.look(sim, sim.t_ns + i * PERIOD_NS)
+    writer.close()
+    found = json.loads((tmp_path / "world.json").read_text())
+    assert found == {"world": sim.scene.name, "seed": sim.scene.seed, "board": None}
+
+
+def test_a_disk_that_takes_nothing_leaves_no_empty_file(tmp_path: Path, monkeypatch):
+    """It would look like a record."""
+
+    def full(self: LineWriter, batch: object) -> None:
+        self.lost += 1
+
+    monkeypatch.setattr(LineWriter, "_write", full)
+    sim, writer = simulation(), TruthWriter(tmp_path)
+    writer.begin()
+    sim.step(2)
+    writer.look(sim, sim.t_ns)
+    writer.close()
+    assert writer.problem is not None
+    assert list(tmp_path.iterdir()) == []

@@ -61,6 +61,16 @@ def test_a_seed_is_one_world(name):
 
 
 @pytest.mark.parametrize("name", WORLDS)
+def test_bare_of_its_textures_a_world_is_the_same(name):
+    """Shapes, places and names of what is stepped are those of what is drawn."""
+    scene = build_scene(name, 3)
+    bare, drawn = scene.bare.compile(), scene.spec.compile()
+    assert len(drawn.tex_data) > len(bare.tex_data)
+    for field in ("mesh_vert", "geom_pos", "geom_quat", "geom_matid", "geom_contype", "light_pos"):
+        np.testing.assert_array_equal(getattr(bare, field), getattr(drawn, field))
+
+
+@pytest.mark.parametrize("name", WORLDS)
 def test_the_print_changes_nothing_else(name):
     """Clean, scratched and glossy boards hang in the same place of the same world."""
     clean, *others = (build_scene(name, 3, board) for board in BOARDS)

@@ -25,7 +25,7 @@ def test_noise_is_normal_and_has_no_seam(fade):
 @pytest.mark.parametrize("draw", SEAMLESS)
 def test_a_surface_has_no_seam(draw):
     """Laid side by side, the step from one to the next is as small as those within."""
-    level = draw(stream(2, "look"))[..., 1].astype(float)
+    level = draw(stream(2, "look"))()[..., 1].astype(float)
     for axis in (0, 1):
         within = np.abs(np.diff(level, axis=axis)).mean(axis=1 - axis)
         over = np.abs(np.take(level, 0, axis) - np.take(level, -1, axis)).mean()
@@ -35,7 +35,7 @@ def test_a_surface_has_no_seam(draw):
 @pytest.mark.parametrize("draw", ALL)
 def test_a_stream_draws_one_picture(draw):
     """The same numbers give the same picture, which has light and dark in it."""
-    one, again = draw(stream(3, "look")), draw(stream(3, "look"))
+    one, again = draw(stream(3, "look"))(), draw(stream(3, "look"))()
     np.testing.assert_array_equal(one, again)
     assert one.dtype == np.uint8
     assert one.shape[2] == 3
@@ -43,8 +43,18 @@ def test_a_stream_draws_one_picture(draw):
     assert one.std() > 4
 
 
+@pytest.mark.parametrize("draw", ALL)
+def test_painting_moves_no_chance(draw):
+    """What comes after in a stream is the same painted or not; painted twice, so is the picture."""
+    unpainted, painted = stream(3, "look"), stream(3, "look")
+    draw(unpainted)
+    paint = draw(painted)
+    np.testing.assert_array_equal(paint(), paint())
+    assert painted.random() == unpainted.random()
+
+
 def test_paint_keeps_its_colour():
     """Painted red is red where no rust comes through."""
-    red = textures.painted_steel(stream(4, "paint"), (0.4, 0.04, 0.03))
+    red = textures.painted_steel(stream(4, "paint"), (0.4, 0.04, 0.03))()
     middle = np.median(red.reshape(-1, 3), axis=0)
     np.testing.assert_allclose(np.square(middle / 255), (0.4, 0.04, 0.03), rtol=0.15, atol=0.01)
