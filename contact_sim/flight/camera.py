@@ -46,6 +46,8 @@ class SimulatedCamera:
             on_start: called when a run begins.
         """
         self._live = live
+        with live.look() as (simulation, _):
+            self._model = simulation.model  # now: it takes long, and later the world would wait
         self._rig = rig
         self._light = light
         self._seed = seed
@@ -70,10 +72,8 @@ class SimulatedCamera:
         Raises:
             SourceError: nothing draws here without a screen.
         """
-        with self._live.look() as (simulation, _):
-            model = simulation.model
         try:
-            eye = RgbdModel(model, self._rig, self._light, self._seed)
+            eye = RgbdModel(self._model, self._rig, self._light, self._seed)
         except RenderError as error:
             raise SourceError(f"the simulated camera: {error}") from None
         try:
