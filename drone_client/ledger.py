@@ -55,6 +55,20 @@ class FrameEntry:
     """How it was coded, and why so."""
 
 
+def check_earlier(folder: Path, *, overwrite: bool) -> None:
+    """See that no earlier run is in a folder: it is evidence, and goes only if somebody says so.
+
+    Raises:
+        OutputError: there is one.
+        OSError: nobody can see.
+    """
+    earlier = folder / LEDGER_NAME
+    if not overwrite and earlier.exists() and earlier.stat().st_size:
+        raise OutputError(
+            f"folder {folder} holds an earlier run: give another --out, or --overwrite"
+        )
+
+
 class Ledger:
     """Writes ``ledger.jsonl`` and beside it events, control ticks, and looks on board. Thread-safe.
 
@@ -74,11 +88,7 @@ class Ledger:
         self._open: dict[int, FrameEntry] = {}
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            earlier = folder / LEDGER_NAME
-            if not overwrite and earlier.exists() and earlier.stat().st_size:
-                raise OutputError(
-                    f"folder {folder} holds an earlier run: give another --out, or --overwrite"
-                )
+            check_earlier(folder, overwrite=overwrite)
             names = [LEDGER_NAME, EVENTS_NAME, TICKS_NAME]
             if own_eyes:
                 names.append(ONBOARD_NAME)

@@ -9,7 +9,14 @@ from typing import Any, Final
 
 from drone_client.errors import OutputError
 from drone_client.flight import Flight
-from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, ONBOARD_NAME, TICKS_NAME, Ledger
+from drone_client.ledger import (
+    EVENTS_NAME,
+    LEDGER_NAME,
+    ONBOARD_NAME,
+    TICKS_NAME,
+    Ledger,
+    check_earlier,
+)
 from drone_client.link import Link
 from drone_client.link.choose import link_summary
 from drone_client.plot import PLOT_NAME, plot_run
@@ -27,12 +34,8 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     Raises:
         OutputError: it may not, or holds an earlier run that ``overwrite`` does not let go.
     """
-    earlier = folder / LEDGER_NAME
     try:
-        if not overwrite and earlier.exists() and earlier.stat().st_size:
-            raise OutputError(
-                f"folder {folder} holds an earlier run: give another --out, or --overwrite"
-            )
+        check_earlier(folder, overwrite=overwrite)
         there = next(p for p in (folder, *folder.absolute().parents) if p.exists())
     except OSError as error:
         raise OutputError(f"folder {folder}: {error.strerror}") from None
@@ -40,6 +43,15 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
         raise OutputError(f"folder {folder}: {there} is a file")
     if not os.access(there, os.W_OK | os.X_OK):
         raise OutputError(f"folder {folder}: {there} cannot be written")
+
+
+def write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    """Write ``summary.json``; a disk that does not take it is told under ``unwritten``."""
+    try:
+        text = json.dumps(summary, indent=2) + "\n"
+        write_whole(folder / SUMMARY_NAME, text.encode())
+    except OSError as error:
+        summary["unwritten"].append(f"{folder / SUMMARY_NAME}: {error.strerror}")
 
 
 def take_down(flight: Flight, link: Link) -> dict[str, Any]:
@@ -97,11 +109,7 @@ def report(
     }
     if flight.own_eyes is not None:
         summary["onboard"]["taken_back"] = flight.own_eyes.contradicted
-    try:
-        text = json.dumps(summary, indent=2) + "\n"
-        write_whole(folder / SUMMARY_NAME, text.encode())
-    except OSError as error:
-        summary["unwritten"].append(f"{folder / SUMMARY_NAME}: {error.strerror}")
+    write_summary(folder, summary)
     if plot:
         try:
             path = folder / PLOT_NAME

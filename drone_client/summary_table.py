@@ -16,8 +16,13 @@ MANY = 0.1
 
 def print_summary(summary: dict[str, Any]) -> None:
     """Print the table of a run."""
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for key, value in summary_rows(summary).items():
+    print_rows(summary_rows(summary))
+
+
+def print_rows(rows: dict[str, str], title: str | None = None) -> None:
+    """Print rows with their names; a title stands above them."""
+    table = Table(show_header=False, box=None, pad_edge=False, title=title, title_justify="left")
+    for key, value in rows.items():
         table.add_row(Text(key, style="bold"), Text(value))
     Console().print(table)
 

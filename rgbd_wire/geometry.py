@@ -18,16 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_wire.errors import GeometryError
+from rgbd_wire.quaternion import Quaternion, Vector, conjugate, multiplied, rotate, to_vector
 
 Array: TypeAlias = NDArray[np.float64]
-_Vector: TypeAlias = tuple[float, float, float]
-_Quaternion: TypeAlias = tuple[float, float, float, float]
 
 UNIT_QUATERNION_TOLERANCE = 1e-3
 """How far from one a quaternion's norm may be before it is refused and not normalised."""
 
 
-def vec3(v: Array) -> tuple[float, float, float]:
+def vec3(v: Array) -> Vector:
     """A vector (3,) as plain floats, for arithmetic that is quicker without arrays."""
     x, y, z = v.tolist()
     return x, y, z
@@ -88,7 +87,7 @@ def rotation_from_vector(rotation_vector: Array) -> Array:
 def vector_from_rotation(rotation: Array) -> Array:
     """Rotation vector (3,) [rad], of length at most pi, of a rotation matrix (3, 3)."""
     w, x, y, z = quaternion_from_rotation(rotation).tolist()
-    return np.array(_vector((w, x, y, z)))
+    return np.array(to_vector((w, x, y, z)))
 
 
 def slerp(q0_wxyz: Array, q1_wxyz: Array, s: float) -> Array:
@@ -135,7 +134,7 @@ class Pose:
             raise GeometryError(f"q_wxyz must have unit length, not {norm:.6g}")
         self._keep((x, y, z), (w / norm, a / norm, b / norm, c / norm))
 
-    def _keep(self, translation: _Vector, q_wxyz: _Quaternion) -> None:
+    def _keep(self, translation: Vector, q_wxyz: Quaternion) -> None:
         """Hold these, for good: finite, and of unit length."""
         t, q = np.array(translation), np.array(q_wxyz)
         t.flags.writeable = False
@@ -144,7 +143,7 @@ class Pose:
         object.__setattr__(self, "q_wxyz", q)
 
     @classmethod
-    def _of(cls, translation: _Vector, q_wxyz: _Quaternion) -> Pose:
+    def _of(cls, translation: Vector, q_wxyz: Quaternion) -> Pose:
         """Of what was worked out of poses: only rounding is to be taken out, or too large a sum.
 
         Raises:
@@ -200,8 +199,8 @@ class Pose:
     def inverse(self) -> Pose:
         """``b_from_a`` of ``a_from_b``."""
         w, x, y, z = self.q_wxyz.tolist()
-        back = (w, -x, -y, -z)
-        a, b, c = _turned(back, vec3(self.translation))
+        back = conjugate((w, x, y, z))
+        a, b, c = rotate(back, vec3(self.translation))
         return Pose._of((-a, -b, -c), back)
 
     @overload
@@ -214,18 +213,18 @@ class Pose:
             return np.asarray(other @ self.rotation.T + self.translation)
         w, x, y, z = self.q_wxyz.tolist()
         place = other.translation if isinstance(other, Pose) else other
-        a, b, c = _turned((w, x, y, z), vec3(place))
+        a, b, c = rotate((w, x, y, z), vec3(place))
         d, e, f = vec3(self.translation)
         if not isinstance(other, Pose):
             return np.array((a + d, b + e, c + f))
         qw, qx, qy, qz = other.q_wxyz.tolist()
-        return Pose._of((a + d, b + e, c + f), _product((w, x, y, z), (qw, qx, qy, qz)))
+        return Pose._of((a + d, b + e, c + f), multiplied((w, x, y, z), (qw, qx, qy, qz)))
 
-    def turned_since(self, before: Pose) -> tuple[float, float, float]:
+    def turned_since(self, before: Pose) -> Vector:
         """Rotation vector [rad] in ``a``, of length at most pi, from another attitude to this."""
         qw, qx, qy, qz = self.q_wxyz.tolist()
         pw, px, py, pz = before.q_wxyz.tolist()
-        return _vector(_product((qw, qx, qy, qz), (pw, -px, -py, -pz)))
+        return to_vector(multiplied((qw, qx, qy, qz), conjugate((pw, px, py, pz))))
 
     def interpolate(self, other: Pose, s: float) -> Pose:
         """The pose at ``s`` in [0, 1] between this one and ``other``: LERP and SLERP."""
@@ -237,40 +236,9 @@ def quaternion_product(p_wxyz: Array, q_wxyz: Array) -> Array:
     """Hamilton product (4,) ``wxyz``, normalised."""
     pw, px, py, pz = p_wxyz.tolist()
     qw, qx, qy, qz = q_wxyz.tolist()
-    w, x, y, z = _product((pw, px, py, pz), (qw, qx, qy, qz))
+    w, x, y, z = multiplied((pw, px, py, pz), (qw, qx, qy, qz))
     n = math.sqrt(w * w + x * x + y * y + z * z)
     return np.array((w / n, x / n, y / n, z / n))
-
-
-def _product(p: _Quaternion, q: _Quaternion) -> _Quaternion:
-    """Hamilton product ``wxyz``, as it comes."""
-    pw, px, py, pz = p
-    qw, qx, qy, qz = q
-    return (
-        pw * qw - px * qx - py * qy - pz * qz,
-        pw * qx + px * qw + py * qz - pz * qy,
-        pw * qy - px * qz + py * qw + pz * qx,
-        pw * qz + px * qy - py * qx + pz * qw,
-    )
-
-
-def _turned(q: _Quaternion, v: _Vector) -> _Vector:
-    """``v`` of ``b`` in ``a``, turned by the unit quaternion ``wxyz`` of ``a_from_b``."""
-    w, x, y, z = q
-    a, b, c = v
-    # t = 2 q_vec x v; v + w t + q_vec x t
-    s = 2.0 * (y * c - z * b)
-    t = 2.0 * (z * a - x * c)
-    u = 2.0 * (x * b - y * a)
-    return a + w * s + y * u - z * t, b + w * t + z * s - x * u, c + w * u + x * t - y * s
-
-
-def _vector(q: _Quaternion) -> _Vector:
-    """Rotation vector [rad], of length at most pi, of a unit quaternion."""
-    w, x, y, z = q if q[0] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
-    sine = math.sqrt(x * x + y * y + z * z)
-    k = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, w) / sine
-    return k * x, k * y, k * z
 
 
 def _all_finite(x: float, y: float, z: float) -> bool:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple, TypeAlias
 
 import cv2
@@ -178,8 +178,9 @@ def _proposals(
     boxes: dict[Level, tuple[Box, ...]], target: Target, size: tuple[int, int]
 ) -> list[_Proposal]:
     """Boxes that nest; then pairs of them that do, with a third one that does but loosely."""
-    fits = _fits(boxes, target, size, SIZE_SLACK)
+    # What nests, nests loosely, too
     loose = _fits(boxes, target, size, LOOSE_SIZE_SLACK)
+    fits = _fits(boxes, target, size, SIZE_SLACK, among=loose)
     nested = _combinations(boxes, fits)
     made = [(chosen, chosen, MIN_SHADES_SHARE) for chosen in nested]
     for chosen in nested if loose != fits else ():
@@ -202,18 +203,26 @@ def _named(chosen: dict[Level, int], boxes: dict[Level, tuple[Box, ...]]) -> dic
 
 
 def _fits(
-    boxes: dict[Level, tuple[Box, ...]], target: Target, size: tuple[int, int], too_small: float
+    boxes: dict[Level, tuple[Box, ...]],
+    target: Target,
+    size: tuple[int, int],
+    too_small: float,
+    among: _Fits | None = None,
 ) -> _Fits:
+    """The pairs that nest; of these pairs alone, if some are given."""
     fits: _Fits = {}
     for outer, inner in itertools.combinations(Level, 2):
         least = target.level_m[outer] / target.level_m[inner]
         most = least * math.sqrt(2) if is_board(outer, target) else least
+        pairs: Iterable[tuple[int, int]] = (
+            itertools.product(range(len(boxes[outer])), range(len(boxes[inner])))
+            if among is None
+            else among[outer, inner]
+        )
         fits[outer, inner] = {
             (i, j)
-            for (i, a), (j, b) in itertools.product(
-                enumerate(boxes[outer]), enumerate(boxes[inner])
-            )
-            if nests(a, b, (least, most), size, too_small)
+            for i, j in pairs
+            if nests(boxes[outer][i], boxes[inner][j], (least, most), size, too_small)
         }
     return fits
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from contextlib import ExitStack
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -105,7 +106,7 @@ def campaign(
     seeds = range(first_seed, first_seed + flights)
     processes = jobs or os.cpu_count() or 1
     chosen = ABLATIONS if ablations else ()
-    plan(worlds, seeds, kinds, chosen, board, link, connect)
+    planned = plan(worlds, seeds, kinds, chosen, board, link)
     if eyes is EyesName.SERVICE:
         choose_gl()
     with ExitStack() as stack:
@@ -117,7 +118,7 @@ def campaign(
             endpoint = stack.enter_context(ServiceProcess(out)).endpoint
         if endpoint is not None:
             ServiceEyes(endpoint, "campaign").close()  # none there: told before a flight begins
-        jobs_planned = plan(worlds, seeds, kinds, chosen, board, link, endpoint)
+        jobs_planned = [replace(job, endpoint=endpoint) for job in planned]
         bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),

@@ -263,7 +263,6 @@ def plan(
     ablations: Sequence[str],
     board: str,
     link: str,
-    endpoint: str | None,
 ) -> list[Job]:
     """Every flight of a campaign, once: each ablation with every fault that there can be, too.
 
@@ -273,7 +272,7 @@ def plan(
     for ablation in ablations:
         ablated(LockstepSettings(), ablation)
     jobs = [
-        Job(world, seed, board, link, fault, ablation, endpoint)
+        Job(world, seed, board, link, fault, ablation)
         for ablation in (WHOLE, *ablations)
         for world in dict.fromkeys(worlds)
         for fault in faults

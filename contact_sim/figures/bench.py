@@ -126,7 +126,7 @@ class FigureBench:
                     "python -m contact_sim campaign --plain"
                 )
             return rows
-        jobs = plan(WORLDS, range(self._flights), (None,), (), "clean", LINK, None)
+        jobs = plan(WORLDS, range(self._flights), (None,), (), "clean", LINK)
         rows = []
         for row in fly_all(jobs, self._jobs):
             rows.append(row)

@@ -74,6 +74,11 @@ class Outcome:
     drift_m: float
     """Of the odometry at the end."""
 
+    @property
+    def safe(self) -> bool:
+        """Nothing but the tip has touched anything, and not beside the mouth."""
+        return not self.collisions and self.outside_m == 0.0
+
     def as_json(self) -> dict[str, Any]:
         """For a file."""
         return asdict(self)

@@ -123,7 +123,7 @@ class SimulatedWorld:
             "unwritten": self.truth.problem,
             **({} if self.outside is None else {"hil": self.outside.counts()}),
             **outcome.as_json(),
-            "safe": not outcome.collisions and outcome.outside_m == 0.0,
+            "safe": outcome.safe,
         }
 
     def film(self, run: Path, path: Path, on_progress: Callable[[float], None]) -> None:

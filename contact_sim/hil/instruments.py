@@ -12,8 +12,8 @@ from contact_sim.chance import stream
 from contact_sim.hil.place import Air, Place, air_at, altitude_of
 from contact_sim.noise import normals
 from contact_sim.sensing.imu import ImuSample
-from contact_sim.vehicle.quaternion import Quaternion, rotate_back
 from drone_client.cbf.vector import Vec3
+from rgbd_wire.quaternion import Quaternion, rotate_back
 
 SLOW_NS: Final = 20_000_000
 """From one sample of compass and barometer to the next."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,14 +20,22 @@ HEADER_BYTES = 600
 """Of a frame: stamps, calibration, poses."""
 
 
+class Sizes(NamedTuple):
+    """Of a frame [bytes]."""
+
+    message: int
+    """On the wire."""
+    color: int
+    depth: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
     """What a worker says of a frame."""
 
     outcome: Outcome
     target: TargetPose | None
-    sizes: tuple[int, int, int]
-    """Of the frame on the wire, and of its colour and depth therein [bytes]."""
+    sizes: Sizes
 
 
 class Eyes(Protocol):
@@ -137,14 +145,14 @@ class ModelEyes:
         )
         return Look(Outcome.TARGET, target, self._sizes(chosen))
 
-    def _sizes(self, chosen: ChosenEncoding | None) -> tuple[int, int, int]:
+    def _sizes(self, chosen: ChosenEncoding | None) -> Sizes:
         """As the ladder of encodings weighs its rungs."""
         color, depth = float(self._settings.color_bytes), float(self._settings.depth_bytes)
         if chosen is not None:
             rung = chosen.choice.rung
             color *= rung.color_weight
             depth *= rung.depth_weight(chosen.choice.region_share)
-        return round(color) + round(depth) + HEADER_BYTES, round(color), round(depth)
+        return Sizes(round(color) + round(depth) + HEADER_BYTES, round(color), round(depth))
 
     def _in_view(self, camera_from_target: Pose) -> bool:
         """The inner half of the board is in the picture, near enough, and not from behind."""

@@ -103,11 +103,6 @@ class Flown:
     """The truth, 50 times a second."""
     ticks: tuple[Tick, ...]
 
-    @property
-    def clean(self) -> bool:
-        """Nothing but the tip has touched anything, and not beside the mouth."""
-        return not self.outcome.collisions and self.outcome.outside_m == 0.0
-
 
 class LockstepFlight:
     """A flight that is stepped; ``fly`` steps it to its end.

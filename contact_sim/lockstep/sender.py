@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from contact_sim.lockstep.eyes import Sizes
 from drone_client.departures import Departures
 from drone_client.encoding_choice import ChosenEncoding, EncodingChoice
 from drone_client.goodput import Goodput
@@ -96,23 +97,20 @@ class Sender:
         chosen = self._choice.choose(exposed.frame, now_ns, self._goodput.bytes_per_s)
         return Leaving(exposed, chosen, t1_ns)
 
-    def sent(
-        self, sequence: int, leaving: Leaving, sizes: tuple[int, int, int], worker: str
-    ) -> None:
+    def sent(self, sequence: int, leaving: Leaving, sizes: Sizes, worker: str) -> None:
         """It left.
 
         Args:
             sequence: its number.
             leaving: what left.
-            sizes: of the message, and of its colour and depth [bytes].
+            sizes: of it.
             worker: whom it goes to.
         """
-        size, color_bytes, depth_bytes = sizes
-        self._choice.weighed(leaving.chosen, color_bytes, depth_bytes)
+        self._choice.weighed(leaving.chosen, sizes.color, sizes.depth)
         goodput = self._goodput.bytes_per_s
-        serialisation_ns = 0 if goodput is None else round(1e9 * size / goodput)
+        serialisation_ns = 0 if goodput is None else round(1e9 * sizes.message / goodput)
         self._departures.send(sequence, worker, leaving.t1_ns, serialisation_ns)
-        self._sent[sequence] = size, leaving.t1_ns
+        self._sent[sequence] = sizes.message, leaving.t1_ns
         while len(self._sent) > REMEMBERED_FRAMES:
             del self._sent[next(iter(self._sent))]
 

@@ -12,7 +12,7 @@ import time
 from typing import Final, Self
 
 from contact_sim.errors import ServiceError
-from contact_sim.lockstep.eyes import Look
+from contact_sim.lockstep.eyes import Look, Sizes
 from drone_client.encoding_choice import ChosenEncoding
 from drone_client.errors import ClientError
 from drone_client.link import Link
@@ -95,7 +95,7 @@ class ServiceEyes:
             if not self._changed.wait_for(lambda: number in self._results, ANSWER_S):
                 raise ServiceError(f"no answer to a frame within {ANSWER_S:g} s")
             result = self._results.pop(number)
-        sizes = len(message), len(compressed.color), compressed.depth.size_bytes
+        sizes = Sizes(len(message), len(compressed.color), compressed.depth.size_bytes)
         return Look(result.outcome, result.target, sizes)
 
     def _on_workers(self) -> None:

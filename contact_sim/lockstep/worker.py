@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from contact_sim.lockstep.eyes import Eyes, Look
+from contact_sim.lockstep.eyes import Eyes, Look, Sizes
 from contact_sim.lockstep.link_model import LinkModel
 from contact_sim.lockstep.sender import Leaving
 from drone_client.gate import SentFrame
@@ -73,7 +73,7 @@ class RemoteWorker:
         """Kill it; None: it is there again."""
         self.killed_ns = now_ns
 
-    def send(self, leaving: Leaving) -> tuple[int, tuple[int, int, int]]:
+    def send(self, leaving: Leaving) -> tuple[int, Sizes]:
         """A frame leaves: it is sent, looked at and answered, as far as it gets.
 
         Returns:
@@ -88,7 +88,7 @@ class RemoteWorker:
         # Chance is drawn alike whatever becomes of the frame: faults change nothing else
         work_ns = round(s.work_ns * float(np.exp(s.spread * self._rng.standard_normal())))
         self._receiver.sending(SentFrame(sequence, t_capture_ns, t1_ns, NAME))
-        up = self._link.up.send(look.sizes[0], t1_ns)
+        up = self._link.up.send(look.sizes.message, t1_ns)
         if up.arrives_ns is None or self.killed_ns is not None:
             self.counts["lost"] += 1
             return sequence, look.sizes

@@ -14,9 +14,8 @@ from contact_sim.recording.reel import load_reel
 from contact_sim.recording.world import load_world
 from contact_sim.sensing.gl import choose_gl
 from drone_client.errors import ClientError
-from drone_client.viewing.command import check_file, progress_bar
+from drone_client.viewing.command import EXIT_INTERRUPTED, check_file, progress_bar
 
-EXIT_INTERRUPTED: Final = 130
 CUT_OFF_S: Final = 2.0
 """A record that ends so long before the flight is told."""
 
@@ -76,9 +75,7 @@ def film(
                 reel, world.build(), out, lambda share: progress.update(task, completed=share)
             )
     except KeyboardInterrupt:
-        console.print(
-            f"{out} was given up: nothing of it is left", style="yellow", markup=False,
-            soft_wrap=True,
-        )  # fmt: skip
+        sentence = f"{out} was given up: nothing of it is left"
+        console.print(sentence, style="yellow", markup=False, soft_wrap=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
     console.print(f"wrote {out}", markup=False, highlight=False, soft_wrap=True)

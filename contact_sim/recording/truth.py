@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from contact_sim.scene import Scene
 from contact_sim.simulation import Simulation
 from drone_client.line_writer import LineWriter
@@ -85,8 +83,6 @@ def truth_line(simulation: Simulation, now_ns: int, force_n: float) -> dict[str,
         force_n: of the tip, the worst since the line before.
     """
     truth, snapshot = simulation.truth, simulation.snapshot()
-    believed = simulation.estimate.world_from_body.translation
-    drift_m = float(np.linalg.norm(believed - truth.world_from_body.translation))
     return {
         "t_ns": now_ns,
         "t_simulated_ns": truth.t_ns,
@@ -95,7 +91,7 @@ def truth_line(simulation: Simulation, now_ns: int, force_n: float) -> dict[str,
         "velocity_mps": [round(v, 5) for v in truth.velocity_world.tolist()],
         "tip_force_n": round(force_n, 4),
         "arm_m": round(truth.arm_m, 6),
-        "drift_m": round(drift_m, 5),
+        "drift_m": round(simulation.drift_m, 5),
         "touches": [f"{touch.part} on {touch.other}" for touch in truth.touches],
         "lamps_out": sorted(snapshot.lamps_out),
         "qpos": snapshot.qpos.tolist(),

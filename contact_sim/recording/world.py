@@ -9,8 +9,8 @@ from typing import Any, Final, NamedTuple
 from contact_sim.errors import FilmError
 from contact_sim.recording.truth import WORLD_NAME
 from contact_sim.scene import Scene, build_scene
+from drone_client.run_report import SUMMARY_NAME
 
-SUMMARY_NAME: Final = "summary.json"
 MAX_BYTES: Final = 10_000_000
 
 

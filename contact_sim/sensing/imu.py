@@ -14,9 +14,9 @@ import numpy as np
 
 from contact_sim.noise import normals
 from contact_sim.vehicle.body import BodyState
-from contact_sim.vehicle.quaternion import from_vector, product, rotate_back
 from drone_client.bounds import check_bounds
 from drone_client.cbf.vector import Vec3
+from rgbd_wire.quaternion import from_vector, product, rotate_back
 
 GRAVITY_MPS2 = 9.81
 

@@ -10,10 +10,10 @@ import numpy as np
 from contact_sim.errors import VehicleError
 from contact_sim.noise import normals
 from contact_sim.scene import SEEN_GROUP
-from contact_sim.vehicle.quaternion import Quaternion, rotate
 from drone_client.bounds import check_bounds
 from drone_client.cbf.vector import Vec3
 from drone_client.odometry import RangeSample
+from rgbd_wire.quaternion import Quaternion, rotate
 
 _BOUNDS: dict[str, tuple[float, float]] = {
     "period_ns": (2_000_000, 1_000_000_000),

@@ -18,17 +18,17 @@ import numpy as np
 
 from contact_sim.errors import VehicleError
 from contact_sim.noise import normals
-from contact_sim.vehicle.quaternion import (
+from drone_client.bounds import check_bounds
+from drone_client.cbf.vector import Vec3
+from drone_client.odometry import OdometrySample
+from rgbd_wire.geometry import Pose
+from rgbd_wire.quaternion import (
     Quaternion,
     about_up,
     from_vector,
     product,
     rotate,
 )
-from drone_client.bounds import check_bounds
-from drone_client.cbf.vector import Vec3
-from drone_client.odometry import OdometrySample
-from rgbd_wire.geometry import Pose
 
 MAX_JUMP_M = 100.0
 

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 
 from contact_sim.scene.drone import TIP_RADIUS_M
-from contact_sim.vehicle.quaternion import Quaternion, rotate
 from contact_sim.vehicle.rotors import Thrusts
 from drone_client.cbf.vector import Vec3, moved
 from rgbd_wire.geometry import Array, Pose, vec3
+from rgbd_wire.quaternion import Quaternion, rotate
 
 
 class BodyState(NamedTuple):

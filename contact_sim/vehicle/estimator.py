@@ -21,7 +21,11 @@ import numpy as np
 from contact_sim.sensing.imu import ImuSample
 from contact_sim.vehicle.covariance import AngleCovariance, AxisCovariance
 from contact_sim.vehicle.history import Believed, History
-from contact_sim.vehicle.quaternion import (
+from drone_client.bounds import check_bounds
+from drone_client.cbf.vector import ZERO, Vec3
+from drone_client.odometry import OdometrySample, RangeSample
+from rgbd_wire.geometry import Array, Pose, vec3
+from rgbd_wire.quaternion import (
     Quaternion,
     conjugate,
     from_vector,
@@ -30,10 +34,6 @@ from contact_sim.vehicle.quaternion import (
     rotate_back,
     to_vector,
 )
-from drone_client.bounds import check_bounds
-from drone_client.cbf.vector import ZERO, Vec3
-from drone_client.odometry import OdometrySample, RangeSample
-from rgbd_wire.geometry import Array, Pose, vec3
 
 GRAVITY_MPS2 = 9.81
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from contact_sim.vehicle.quaternion import Quaternion
 from drone_client.cbf.vector import Vec3
+from rgbd_wire.quaternion import Quaternion
 
 KEPT = 100
 """Believed states: 0.4 s at 250 Hz."""

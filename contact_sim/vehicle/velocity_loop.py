@@ -14,10 +14,10 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from contact_sim.vehicle.quaternion import Quaternion, rotate_back
 from contact_sim.vehicle.rotors import Effort
 from drone_client.bounds import check_bounds
 from drone_client.cbf.vector import ZERO, Vec3
+from rgbd_wire.quaternion import Quaternion, rotate_back
 
 GRAVITY_MPS2 = 9.81
 

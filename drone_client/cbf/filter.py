@@ -106,8 +106,9 @@ def filter_command(inp: FilterInput, settings: FilterSettings) -> SafeCommand:
     delta = error_ball_m(inp.age_ns, inp.range_m, inp.sigma_m, settings, alone_ns)
     delta_next = error_ball_m(age_next_ns, inp.range_m, inp.sigma_m, settings, alone_next_ns)
     hold = Hold(barrier, p, delta, delta_next, alpha(p, settings), settings.period_s)
-    tick = _Tick(inp, settings, phase, hold, cross(inp.up_target, inp.lever_arm_target))
-    h = barrier.h(p)
+    h, h_robust = barrier.h(p), barrier.h(p, delta)
+    swing_arm = cross(inp.up_target, inp.lever_arm_target)
+    tick = _Tick(inp, settings, phase, hold, swing_arm, h_robust)
 
     yaw_rate = 0.0
     if p[0] < -settings.depth_max_m or (p[0] < 0.0 and h < 0.0):
@@ -121,7 +122,6 @@ def filter_command(inp: FilterInput, settings: FilterSettings) -> SafeCommand:
         tip_velocity, yaw_rate, status = _through_the_funnel(tick)
 
     velocity_body = moved(tip_velocity, tick.swing_arm, -yaw_rate)
-    h_robust = barrier.h(p, delta)
     return SafeCommand(velocity_body, yaw_rate, h, h_robust, status, phase, delta)
 
 
@@ -134,6 +134,8 @@ class _Tick(NamedTuple):
     hold: Hold
     swing_arm: Vec3
     """Velocity of the tip per unit of yaw rate, ``up x r`` [m]."""
+    h_robust: float
+    """Barrier that the true tip has at least [m]."""
 
 
 def _straight(retreat: Vec3, tick: _Tick) -> Vec3:
@@ -227,8 +229,7 @@ def _closing_limit_mps(tick: _Tick) -> float:
     )
     if settings.variant is not Variant.SMOOTH:  # shown as the paper has it
         return limit
-    h_robust = hold.barrier.h(hold.p_target, hold.delta_m)
-    return limit_outside_mps(limit, nearest, h_robust, settings)
+    return limit_outside_mps(limit, nearest, tick.h_robust, settings)
 
 
 def _slowed(nominal: Vec3, limit_mps: float) -> Vec3:

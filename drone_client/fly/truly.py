@@ -4,19 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+from drone_client.summary_table import print_rows
 
 
 def print_truth(summary: dict[str, Any]) -> None:
     """Print the table of it; nothing for a real flight, of which nobody knows."""
     if (simulated := summary.get("simulated")) is None:
         return
-    table = Table(show_header=False, box=None, pad_edge=False, title="truth", title_justify="left")
-    for key, value in truth_rows(simulated).items():
-        table.add_row(Text(key, style="bold"), Text(value))
-    Console().print(table)
+    print_rows(truth_rows(simulated), "truth")
 
 
 def truth_rows(simulated: dict[str, Any]) -> dict[str, str]:

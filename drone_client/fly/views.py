@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from rich.console import Console
 
 from drone_client.errors import ClientError, WorldError
 from drone_client.fly.simulator import Simulator
-from drone_client.run_report import SUMMARY_NAME
+from drone_client.run_report import write_summary
 from drone_client.viewing.command import (
     check_file,
     check_views,
@@ -22,7 +21,6 @@ from drone_client.viewing.command import (
 )
 from drone_client.viewing.live import Address, parse_address
 from drone_client.viewing.recorder import FlightRecorder
-from drone_client.viewing.whole_file import write_whole
 
 FILMS: Final = (".mp4", ".webm")
 
@@ -118,11 +116,7 @@ def write_views(
         files.append(str(path))
         console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
     summary["files"] = files
-    try:
-        text = json.dumps(summary, indent=2) + "\n"
-        write_whole(folder / SUMMARY_NAME, text.encode())
-    except OSError as error:
-        summary["unwritten"].append(f"{folder / SUMMARY_NAME}: {error.strerror}")
+    write_summary(folder, summary)
 
 
 def _film(world: Simulator, folder: Path, path: Path, console: Console) -> None:

@@ -41,7 +41,7 @@ from drone_client.viewing.outlines import (
 from drone_client.viewing.overlay import caption, marks
 from drone_client.viewing.viewer import answer_numbers, tick_numbers
 from drone_client.viewing.way import Way
-from drone_client.viewing.whole_file import WholeFile
+from drone_client.viewing.whole_file import WholeFile, write_all
 from rgbd_wire.camera import CameraIntrinsics
 from rgbd_wire.geometry import Pose
 
@@ -255,9 +255,7 @@ class _DeafFile:
     def write(self, data: bytes | bytearray) -> int:
         if self._file is not None:
             try:
-                left = memoryview(data)
-                while left:  # a disk that is nearly full takes a part
-                    left = left[self._file.write(left) :]
+                write_all(self._file, data)
             except OSError as error:
                 self._error, self._file = error, None
         self._at += len(data)

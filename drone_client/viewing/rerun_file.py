@@ -35,7 +35,7 @@ from drone_client.viewing.outlines import (
 from drone_client.viewing.overlay import caption, marks
 from drone_client.viewing.viewer import answer_numbers, tick_numbers
 from drone_client.viewing.way import Way
-from drone_client.viewing.whole_file import WholeFile
+from drone_client.viewing.whole_file import WholeFile, write_all
 from rgbd_wire.geometry import Pose
 
 TIMELINE: Final = "drone_time"
@@ -123,9 +123,7 @@ class RerunFile:
 
     def _write(self, data: bytes | None) -> None:
         try:
-            left = memoryview(data or b"")
-            while left:  # a disk that is nearly full takes a part
-                left = left[self._whole.file.write(left) :]
+            write_all(self._whole.file, data or b"")
         except OSError as error:
             raise OutputError(f"{self._whole.path} is not whole: {error.strerror}") from None
 

@@ -58,6 +58,17 @@ def part_of(path: Path) -> Path:
     return path.with_name(f".{path.stem}.part{path.suffix}")
 
 
+def write_all(file: io.FileIO, data: bytes | bytearray) -> None:
+    """Write all of it: a disk that is nearly full takes a part first.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    left = memoryview(data)
+    while left:
+        left = left[file.write(left) :]
+
+
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file at once, or leave what was there.
 

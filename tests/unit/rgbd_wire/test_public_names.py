@@ -29,6 +29,7 @@ PUBLIC = {
     "decode_header decode_result decode_status encode_header pack_covariance pose_numbers pose_of "
     "seal_ack seal_result seal_status unpack_covariance",
     "probe": "Probe decode_probe seal_probe",
+    "quaternion": "about_up conjugate from_vector multiplied product rotate rotate_back to_vector",
     "streams": "Stream Urgency drone_of_key worker_key worker_of_key worker_status_key",
     "tls_files": "TlsFiles tls_files",
     "tunnel": "",

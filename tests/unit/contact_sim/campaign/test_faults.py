@@ -80,7 +80,7 @@ def test_it_strikes_once_in_the_approach_and_does_no_harm(fault: Fault) -> None:
     assert 0.0 - 0.05 <= striker.struck_m <= fault.farthest_m
     before = [t for t in flight.ticks if t.t_ns < striker.struck_ns]
     assert before[-1].decision.mission.phase is Phase.APPROACH
-    assert flight.clean, flight.outcome
+    assert flight.outcome.safe, flight.outcome
 
 
 def test_what_strikes_is_felt() -> None:

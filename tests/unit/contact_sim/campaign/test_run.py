@@ -110,13 +110,13 @@ def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
 def test_the_plan_has_every_flight_once() -> None:
     """Each ablation with every fault, too."""
     faults = (None, Fault(Kind.GUST), Fault(Kind.VIO_OUT))
-    jobs = plan(["tunnel", "refinery"], range(5), faults, ["no_gate"], "clean", "wifi", None)
+    jobs = plan(["tunnel", "refinery"], range(5), faults, ["no_gate"], "clean", "wifi")
     assert len(jobs) == len({job.flight for job in jobs}) == 2 * 5 * 3 * 2
     with pytest.raises(CampaignError, match="no ablation 'magic'"):
-        plan(["tunnel"], range(1), (), ["magic"], "clean", "wifi", None)
+        plan(["tunnel"], range(1), (), ["magic"], "clean", "wifi")
     with pytest.raises(CampaignError, match="nothing to fly"):
-        plan(["tunnel"], range(1), (), [], "clean", "wifi", None)
-    assert len(plan(["tunnel", "tunnel"], range(2), (None,), [], "clean", "wifi", None)) == 2
+        plan(["tunnel"], range(1), (), [], "clean", "wifi")
+    assert len(plan(["tunnel", "tunnel"], range(2), (None,), [], "clean", "wifi")) == 2
 
 
 def test_an_ablation_leaves_out_what_it_says() -> None:

@@ -9,7 +9,7 @@ from contact_sim.figures import fly_by
 from contact_sim.figures.fly_by import Sight, stays, which
 from contact_sim.figures.fly_by_world import FlyBy, Seeing, build_fly_by
 from contact_sim.figures.picture import camera_at, project
-from contact_sim.lockstep.eyes import Look
+from contact_sim.lockstep.eyes import Look, Sizes
 from contact_sim.sensing import d455
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import Outcome
@@ -105,7 +105,7 @@ class BlindEyes:
 
     def look(self, frame, camera_from_target, chosen=None) -> Look:
         assert frame is not None
-        return Look(Outcome.NOTHING_FOUND, None, (3, 1, 1))
+        return Look(Outcome.NOTHING_FOUND, None, Sizes(3, 1, 1))
 
 
 def test_a_blind_service_counts_nothing(bench):

@@ -40,7 +40,7 @@ def test_it_touches_the_middle_and_comes_back(plain) -> None:
     assert (plain.phase, plain.reason, plain.attempts) == (Phase.DONE, Reason.BACK, 1)
     assert plain.outcome.offset_m < 0.02
     assert plain.outcome.closing_mps < 0.06
-    assert plain.clean
+    assert plain.outcome.safe
     assert plain.verdicts["accepted"] > 100
     assert set(plain.verdicts) <= {"accepted", "too_old", "network_delay"}
     assert plain.counts["target"] > 0.8 * plain.counts["sent"]
@@ -102,7 +102,7 @@ def test_a_frozen_camera_is_noticed(plain) -> None:
     flown = flight(settings=LockstepSettings(longest_s=20.0)).fly(before)
     assert flown.counts["frozen"] > 100
     assert not flown.outcome.touched
-    assert flown.clean
+    assert flown.outcome.safe
 
 
 def test_a_link_that_is_too_slow_is_gated() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from contact_sim.chance import stream
-from contact_sim.lockstep.eyes import EyesSettings, ModelEyes
+from contact_sim.lockstep.eyes import EyesSettings, ModelEyes, Sizes
 from contact_sim.lockstep.flight import LockstepFlight, LockstepSettings
 from contact_sim.lockstep.sender import Exposed, Sender
 from contact_sim.sensing import d455
@@ -33,7 +33,7 @@ def sender() -> Sender:
 
 def test_the_newest_frame_waits_for_its_turn() -> None:
     """As many under way as the window has; of the others the newest; an ack lets it go."""
-    s, sizes = sender(), (60_000, 40_000, 19_000)
+    s, sizes = sender(), Sizes(60_000, 40_000, 19_000)
     for sequence in range(PARTS.uplink.window):
         s.submit(exposed(0))
         leaving = s.next(0)
@@ -61,7 +61,7 @@ def test_what_is_too_old_does_not_leave() -> None:
         s.submit(exposed(400 * MS))
         leaving = s.next(400 * MS)
         assert leaving is not None
-        s.sent(sequence, leaving, (60_000, 40_000, 19_000), "w")
+        s.sent(sequence, leaving, Sizes(60_000, 40_000, 19_000), "w")
     later_ns = 401 * MS + PARTS.uplink.ack_timeout_ns
     s.submit(exposed(later_ns))
     assert s.next(later_ns + 20 * MS) is not None

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from contact_sim.chance import stream
 from contact_sim.sensing.imu import Imu, ImuSettings
 from contact_sim.vehicle.body import BodyState
-from contact_sim.vehicle.quaternion import from_vector
+from rgbd_wire.quaternion import from_vector
 
 DT_S = 0.004
 RIGHT = ImuSettings(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -12,8 +12,8 @@ from contact_sim.chance import stream
 from contact_sim.errors import VehicleError
 from contact_sim.scene.drone import LIDAR_DROP_M, add_drone
 from contact_sim.sensing.lidar import Lidar, LidarSettings
-from contact_sim.vehicle.quaternion import about_up, from_vector
 from drone_client.mission.contact import ContactSettings
+from rgbd_wire.quaternion import about_up, from_vector
 from tests.unit.contact_sim.flights import (
     AIRFRAME,
     BOARD_X_M,

@@ -11,8 +11,8 @@ import pytest
 from contact_sim.chance import stream
 from contact_sim.errors import VehicleError
 from contact_sim.sensing.vio import Moving, Vio, VioSettings
-from contact_sim.vehicle.quaternion import about_up
 from drone_client.odometry import OdometrySample
+from rgbd_wire.quaternion import about_up
 from tests.unit.drone_client.builders import MS, SECOND, rotation_of
 
 PERIOD_NS = 5 * MS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from contact_sim.vehicle.history import KEPT, Believed, History
-from contact_sim.vehicle.quaternion import IDENTITY, about_up
+from rgbd_wire.quaternion import IDENTITY, about_up
 
 ZERO = (0.0, 0.0, 0.0)
 MS = 1_000_000

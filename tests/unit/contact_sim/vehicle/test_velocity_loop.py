@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from contact_sim.vehicle.quaternion import from_vector
 from contact_sim.vehicle.velocity_loop import (
     Craft,
     LoopSettings,
@@ -19,6 +18,7 @@ from contact_sim.vehicle.velocity_loop import (
     Setpoint,
     step,
 )
+from rgbd_wire.quaternion import from_vector
 
 CRAFT = Craft(3.3, 66.0, (7.6, 7.6, 1.0))
 SETTINGS = LoopSettings()

@@ -1,6 +1,6 @@
-"""Unit quaternions as tuples ``wxyz``, for loops in which numpy's calls would be the cost.
+"""Unit quaternions as tuples ``wxyz``, where numpy's calls would be the cost.
 
-``q`` stands for ``a_from_b``, as ``rgbd_wire.geometry.Pose.q_wxyz``.
+``q`` stands for ``a_from_b``, as ``rgbd_wire.geometry.Pose.q_wxyz``, which is worked out here.
 """
 
 from __future__ import annotations
@@ -8,14 +8,13 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-from drone_client.cbf.vector import Vec3
-
+Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
-def rotate(q: Quaternion, v: Vec3) -> Vec3:
+def rotate(q: Quaternion, v: Vector) -> Vector:
     """``v`` of ``b`` in ``a``."""
     w, x, y, z = q
     a, b, c = v
@@ -30,25 +29,32 @@ def rotate(q: Quaternion, v: Vec3) -> Vec3:
     )
 
 
-def rotate_back(q: Quaternion, v: Vec3) -> Vec3:
+def rotate_back(q: Quaternion, v: Vector) -> Vector:
     """``v`` of ``a`` in ``b``."""
     w, x, y, z = q
     return rotate((w, -x, -y, -z), v)
 
 
-def product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Hamilton product, normalised."""
+def multiplied(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Hamilton product, as it comes: its length is off by rounding."""
     pw, px, py, pz = p
     qw, qx, qy, qz = q
-    w = pw * qw - px * qx - py * qy - pz * qz
-    x = pw * qx + px * qw + py * qz - pz * qy
-    y = pw * qy - px * qz + py * qw + pz * qx
-    z = pw * qz + px * qy - py * qx + pz * qw
+    return (
+        pw * qw - px * qx - py * qy - pz * qz,
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
+    )
+
+
+def product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Hamilton product, normalised."""
+    w, x, y, z = multiplied(p, q)
     n = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     return (w * n, x * n, y * n, z * n)
 
 
-def from_vector(v: Vec3) -> Quaternion:
+def from_vector(v: Vector) -> Quaternion:
     """Of a rotation vector [rad]."""
     x, y, z = v
     angle = math.sqrt(x * x + y * y + z * z)
@@ -57,11 +63,11 @@ def from_vector(v: Vec3) -> Quaternion:
     return (math.cos(0.5 * angle), s * x, s * y, s * z)
 
 
-def to_vector(q: Quaternion) -> Vec3:
+def to_vector(q: Quaternion) -> Vector:
     """Rotation vector [rad] of the short way."""
     w, x, y, z = q if q[0] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
     sine = math.sqrt(x * x + y * y + z * z)
-    s = 2.0 if sine < 1e-9 else 2.0 * math.atan2(sine, w) / sine
+    s = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, w) / sine
     return (s * x, s * y, s * z)
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from contact_sim.vehicle.quaternion import (
+from rgbd_wire.quaternion import (
     about_up,
     conjugate,
     from_vector,
