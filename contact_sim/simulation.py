@@ -52,7 +52,7 @@ MAX_COMMAND = 100.0
 
 @dataclass(frozen=True, slots=True)
 class SimulationSettings:
-    """How the drone flies and what disturbs it; the defaults are a calm day."""
+    """How the drone flies and what disturbs it; the defaults are the scene's."""
 
     loop: LoopSettings = field(default_factory=LoopSettings)
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
@@ -141,9 +141,9 @@ class Simulation:
         self._truth: Truth | None = None
         self._setpoint = Setpoint()
         self._thrusts: Thrusts = (0.0, 0.0, 0.0, 0.0)
-        self._wind_world = self.settings.wind.mean_world
         self.contacts = Contacts(model)
-        self.wind = Wind(self.settings.wind, stream(seed, "wind"))
+        self.wind = Wind(self.settings.wind, stream(seed, "wind"), scene.wind_world)
+        self._wind_world = self.wind.mean_world
         drag = self.wind.drag(self._wind_world, (0.0, 0.0, 0.0))
         # Whoever hovered until now has learned to lean against the wind.
         self._loop = LoopState(velocity_integral=_scaled(drag, -1.0 / MASS_KG))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from contact_sim.chance import MAX_SEED
 from contact_sim.errors import WorldError
+from drone_client.cbf.vector import ZERO, Vec3
 
 if TYPE_CHECKING:
     import mujoco
@@ -95,6 +96,8 @@ class Scene:
     """What was drawn by chance, for the log."""
     paints: Mapping[str, Paint] = field(default_factory=dict)
     """What paints the textures of materials, by name."""
+    wind_world: Vec3 = ZERO
+    """Its mean [m/s], where it blows to; gusts are the simulation's."""
 
     @cached_property
     def spec(self) -> mujoco.MjSpec:

@@ -11,8 +11,9 @@ from contact_sim.chance import stream
 from contact_sim.scene import Light, Scene, Sun, shapes, textures
 from contact_sim.scene.board import add_board
 from contact_sim.scene.lamps import light_from_all_sides
-from contact_sim.scene.shapes import Shape, add_shape, joined, moved, seen_from
-from contact_sim.scene.site import CLEAR_M, Site, add_solid, draw_site
+from contact_sim.scene.parts import Parts
+from contact_sim.scene.shapes import Shape, seen_from
+from contact_sim.scene.site import CLEAR_M, Site, draw_site, draw_wind
 from contact_sim.scene.textures import Paint
 from rgbd_wire.geometry import Array
 from target_pose.target import load_round_target
@@ -21,27 +22,19 @@ _HALF_M = 7.0
 """Half the width of the wall, or the share of the tank's skin that is built."""
 _SIDE_CLEAR_M = 1.15
 """So far to the sides of the board nothing stands before the wall."""
-
-
-class _Parts:
-    """Shapes by material, each drawn at once in the end, and the boxes that are touched."""
-
-    def __init__(self) -> None:
-        self.by_look: dict[str, list[Shape]] = {}
-        self.solids: list[tuple[Array, Array]] = []
-
-    def add(self, look: str, *parts: Shape) -> None:
-        self.by_look.setdefault(look, []).extend(parts)
-
-    def solid(self, center: tuple[float, float, float], size: tuple[float, float, float]) -> None:
-        self.solids.append((np.array(center), np.array(size)))
+GRATING_M = 0.02
+"""Height of the walkway above the ground."""
+_WIND_MPS = 2.0
+_SHINING = frozenset({"pipe", "steel", "handle"})
 
 
 def build_refinery(seed: int, board: str) -> Scene:
     """The refinery of a seed."""
     rng = stream(seed, "refinery")
     site = draw_site(rng, 3.5, 1.2)
-    parts = _Parts()
+    spec = mujoco.MjSpec()
+    spec.modelname = "refinery"
+    parts = Parts(spec, site.world_from_site)
     sun_site, sun_level = _draw_sun(rng)
     on_tank = bool(rng.random() < 0.4)
     radius = float(rng.uniform(4.0, 7.0)) if on_tank else math.inf
@@ -54,15 +47,8 @@ def build_refinery(seed: int, board: str) -> Scene:
     _add_instruments(parts, rng, radius)
     _add_yard(parts, rng)
 
-    spec = mujoco.MjSpec()
-    spec.modelname = "refinery"
     looks = _looks(rng)
-    for name, shapes_of_it in parts.by_look.items():
-        specular, shine = (0.35, 0.4) if name in ("pipe", "steel", "handle") else (0.0, 0.1)
-        textures.add_bare_material(spec, name, specular, shine)
-        add_shape(spec, name, moved(joined(shapes_of_it), site.world_from_site), name)
-    for center, size in parts.solids:
-        add_solid(spec, site, center, size, np.eye(3))
+    parts.draw(_SHINING)
     print_chance = stream(seed, f"print {board}")
     painted_print = add_board(
         spec, load_round_target(), board, site.world_from_target, print_chance
@@ -81,12 +67,15 @@ def build_refinery(seed: int, board: str) -> Scene:
         castshadow=0,
     )
     _add_sky(spec, rng)
+    along_wall = site.world_from_site.rotation[:, 1]
+    wind_world = draw_wind(seed, along_wall, _WIND_MPS, math.radians(40))
     over = float(np.exp(rng.uniform(0.0, np.log(3.5))))
     facts = {
         **site.facts,
         "board": board,
         "over_exposed": over,
         "wall": f"tank of {radius:.1f} m" if on_tank else "hall",
+        "wind_mps": math.hypot(*wind_world),
         "sun_elevation_deg": math.degrees(math.asin(sun_site[2])),
         "sun_from_front_deg": math.degrees(math.acos(np.clip(sun_site[0], -1, 1))),
     }
@@ -96,7 +85,7 @@ def build_refinery(seed: int, board: str) -> Scene:
         seed,
         site.world_from_target,
         site.world_from_body,
-        floor_m=0.0,
+        floor_m=GRATING_M,
         ceiling_m=None,
         lamps=(),
         light=Light(
@@ -110,6 +99,7 @@ def build_refinery(seed: int, board: str) -> Scene:
         ),
         facts=facts,
         paints={**{name: looks[name] for name in parts.by_look}, "print": painted_print},
+        wind_world=wind_world,
     )
 
 
@@ -140,7 +130,7 @@ def _looks(rng: np.random.Generator) -> dict[str, Paint]:
     }
 
 
-def _add_hall_wall(parts: _Parts, rng: np.random.Generator) -> None:
+def _add_hall_wall(parts: Parts, rng: np.random.Generator) -> None:
     """A straight wall with a plinth, not so high that the sky is never seen above."""
     height = float(rng.uniform(2.6, 4.5))
     wall = shapes.panel(
@@ -151,11 +141,11 @@ def _add_hall_wall(parts: _Parts, rng: np.random.Generator) -> None:
         cells=12,
     )
     parts.add("wall", wall)
-    parts.add("steel", shapes.block(np.array([0.0, 0.0, height]), (0.12, 2 * _HALF_M, 0.1), 1.0))
-    parts.solid((-0.2, 0.0, height / 2), (0.4, 2 * _HALF_M, height))
+    parts.block("steel", (0.0, 0.0, height), (0.12, 2 * _HALF_M, 0.1), 1.0)
+    parts.solid_box("wall", (-0.2, 0.0, height / 2), (0.4, 2 * _HALF_M, height))
 
 
-def _add_tank_wall(parts: _Parts, rng: np.random.Generator, radius_m: float) -> None:
+def _add_tank_wall(parts: Parts, rng: np.random.Generator, radius_m: float) -> None:
     """The skin of an upright tank, which falls back to the sides, with a ring or two."""
     height = float(rng.uniform(3.0, 6.0))
     turn = np.linspace(-1.0, 1.0, 33)
@@ -173,14 +163,13 @@ def _add_tank_wall(parts: _Parts, rng: np.random.Generator, radius_m: float) -> 
         ring[..., 1] += 0.05 * np.sin(turn)
         ring[..., 2] = np.array([at + 0.06, at - 0.06])[:, None]
         parts.add("steel", seen_from(front, shapes.grid(ring, texture[:2])))
-    for a in np.linspace(-0.9, 0.9, 7):
-        back, side = radius_m * (math.cos(a) - 1), radius_m * math.sin(a)
-        wide = radius_m * 0.33
-        parts.solid((back - 0.5, side, height / 2), (1.0, wide, height))
+        low, high = (-radius_m, 0.0, at - 0.06), (-radius_m, 0.0, at + 0.06)
+        parts.solid_rod("steel", low, high, radius_m + 0.05)
+    parts.solid_rod("wall", (-radius_m, 0.0, 0.0), (-radius_m, 0.0, height), radius_m)
 
 
 def _pipe(
-    parts: _Parts,
+    parts: Parts,
     rng: np.random.Generator,
     start: tuple[float, float, float],
     end: tuple[float, float, float],
@@ -189,27 +178,22 @@ def _pipe(
 ) -> None:
     """A pipe with flanges where its lengths are bolted together, at times with a valve on it."""
     a, b = np.array(start), np.array(end)
-    parts.add(look, shapes.rod(a, b, radius_m, 0.9))
+    parts.rod(look, a, b, radius_m, 0.9)
     length = float(np.linalg.norm(b - a))
     axis = (b - a) / length
     for at in np.arange(rng.uniform(0.5, 1.5), length, rng.uniform(1.8, 3.2)):
         middle = a + at * axis
         for off in (-0.035, 0.035):
             rim = middle + off * axis
-            parts.add(
-                "steel", shapes.rod(rim - 0.014 * axis, rim + 0.014 * axis, 1.6 * radius_m, 0.9)
-            )
+            parts.rod("steel", rim - 0.014 * axis, rim + 0.014 * axis, 1.6 * radius_m, 0.9)
         if rng.random() < 0.35:
             stem = middle + np.array([1.9 * radius_m + 0.14, 0.0, 0.0])
-            parts.add("steel", shapes.rod(middle, stem, 0.02, 0.9, sides=8))
+            parts.rod("steel", middle, stem, 0.02, 0.9, sides=8)
             wheel = np.array([0.012, 0.0, 0.0])
-            parts.add("handle", shapes.rod(stem - wheel, stem + wheel, 0.11, 0.9))
-    size = np.abs(b - a) + 2 * radius_m
-    center = (a + b) / 2
-    parts.solid((center[0], center[1], center[2]), (size[0], size[1], size[2]))
+            parts.rod("handle", stem - wheel, stem + wheel, 0.11, 0.9)
 
 
-def _add_pipes(parts: _Parts, rng: np.random.Generator, site: Site) -> None:
+def _add_pipes(parts: Parts, rng: np.random.Generator, site: Site) -> None:
     """Racks of pipes above and below the board, and risers to its sides."""
     board_z = float(site.site_from_target.translation[2])
     above = board_z + CLEAR_M + 0.15
@@ -239,16 +223,15 @@ def _add_pipes(parts: _Parts, rng: np.random.Generator, site: Site) -> None:
             y += radius + float(rng.uniform(0.1, 0.6))
 
 
-def _add_columns(parts: _Parts, rng: np.random.Generator) -> None:
+def _add_columns(parts: Parts, rng: np.random.Generator) -> None:
     """Steel columns of I section, and a beam on brackets between them."""
     for side in (-1.0, 1.0):
         y = side * float(rng.uniform(2.4, 4.0))
         for x, size in ((0.5, (0.02, 0.2, 4.0)), (0.7, (0.02, 0.2, 4.0)), (0.6, (0.2, 0.02, 4.0))):
-            parts.add("steel", shapes.block(np.array([x, y, 2.0]), size, 1.0))
-        parts.solid((0.6, y, 2.0), (0.24, 0.2, 4.0))
+            parts.block("steel", (x, y, 2.0), size, 1.0)
 
 
-def _add_instruments(parts: _Parts, rng: np.random.Generator, radius_m: float) -> None:
+def _add_instruments(parts: Parts, rng: np.random.Generator, radius_m: float) -> None:
     """Gauges, round and black on white, which are no targets; and warning signs."""
 
     def skin_m(y: float) -> float:
@@ -260,7 +243,8 @@ def _add_instruments(parts: _Parts, rng: np.random.Generator, radius_m: float) -
         z, size = float(rng.uniform(1.0, 2.0)), float(rng.uniform(0.12, 0.22))
         x = float(rng.uniform(0.25, 0.4))
         parts.add("dial", _plaque(x, y, z, size))
-        parts.add("steel", shapes.rod((skin_m(y), y, z), (x - 0.01, y, z), 0.03, 1.0, sides=8))
+        parts.solid_box("dial", (x - 0.005, y, z), (0.01, size, size))
+        parts.rod("steel", (skin_m(y), y, z), (x - 0.01, y, z), 0.03, 1.0, sides=8)
     for _ in range(int(rng.integers(1, 3))):
         y = float(rng.choice((-1, 1)) * rng.uniform(CLEAR_M + 0.2, 2.2))
         parts.add(
@@ -278,7 +262,7 @@ def _plaque(x: float, y: float, z: float, size_m: float) -> Shape:
     )
 
 
-def _add_yard(parts: _Parts, rng: np.random.Generator) -> None:
+def _add_yard(parts: Parts, rng: np.random.Generator) -> None:
     """The ground, a walkway along the wall, and tanks and a rack of pipes farther off."""
     ground = shapes.panel(
         np.array([-25.0, -25.0, 0.0]),
@@ -289,27 +273,26 @@ def _add_yard(parts: _Parts, rng: np.random.Generator) -> None:
     )
     above = np.array([0.0, 0.0, 2.0])
     parts.add("ground", seen_from(above, ground))
-    parts.solid((0.0, 0.0, -0.2), (50.0, 50.0, 0.4))
+    parts.solid_box("ground", (0.0, 0.0, -0.2), (50.0, 50.0, 0.4))
     walk = shapes.panel(
-        np.array([0.5, -6.0, 0.02]),
+        np.array([0.5, -6.0, GRATING_M]),
         np.array([0.0, 12.0, 0.0]),
         np.array([1.2, 0.0, 0.0]),
         tile_m=0.6,
         cells=12,
     )
     parts.add("grating", seen_from(above, walk))
+    parts.solid_box("grating", (1.1, 0.0, GRATING_M / 2), (1.2, 12.0, GRATING_M))
     for _ in range(int(rng.integers(3, 7))):
         bearing = float(rng.uniform(-math.pi, math.pi))
         away, radius = float(rng.uniform(9, 18)), float(rng.uniform(1.0, 2.8))
         x, y, height = away * math.cos(bearing), away * math.sin(bearing), rng.uniform(2.5, 8)
         look = "cladded" if rng.random() < 0.6 else "pipe"
-        parts.add(look, shapes.rod((x, y, 0.0), (x, y, height), radius, 1.5, sides=24))
-        parts.solid((x, y, height / 2), (1.7 * radius, 1.7 * radius, height))
+        parts.rod(look, (x, y, 0.0), (x, y, height), radius, 1.5, sides=24)
     for z in (2.6, 3.0, 3.4):
-        parts.add("pipe", shapes.rod((6.5, -12.0, z), (6.5, 12.0, z), 0.12, 0.9))
+        parts.rod("pipe", (6.5, -12.0, z), (6.5, 12.0, z), 0.12, 0.9)
     for y in np.arange(-10.0, 11.0, 4.0):
-        parts.add("steel", shapes.block(np.array([6.5, y, 1.7]), (0.2, 0.2, 3.4), 1.0))
-        parts.solid((6.5, y, 1.7), (0.2, 0.2, 3.4))
+        parts.block("steel", (6.5, y, 1.7), (0.2, 0.2, 3.4), 1.0)
 
 
 def _add_sky(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:

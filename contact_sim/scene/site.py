@@ -10,11 +10,11 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
 
-from contact_sim.scene import TOUCHED_GROUP
+from contact_sim.chance import stream
 from contact_sim.scene.board import PLATE_M
+from drone_client.cbf.vector import Vec3
 from rgbd_wire.geometry import Array, Pose, rotation_from_vector
 
 CLEAR_M = 0.75
@@ -86,16 +86,20 @@ def draw_site(rng: np.random.Generator, farthest_m: float, aside_m: float) -> Si
     )
 
 
-def add_solid(spec: mujoco.MjSpec, site: Site, center: Array, size: Array, turn: Array) -> None:
-    """A box that is only touched; its centre (3,), edges (3,) and rotation (3, 3) in the site."""
-    place = site.world_from_site @ Pose.from_rotation(turn, np.asarray(center, float))
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=np.asarray(size, float) / 2,
-        pos=place.translation,
-        quat=place.q_wxyz,
-        group=TOUCHED_GROUP,
-    )
+def draw_wind(seed: int, along_world: Array, fastest_mps: float, aside_rad: float) -> Vec3:
+    """The mean wind [m/s] of a seed, which blows along walls, up or down them by chance.
+
+    Args:
+        seed: of the world; the draws are of a stream of their own.
+        along_world: (3,) unit vector along the wall, level.
+        fastest_mps: from calm to this, all alike.
+        aside_rad: by how much it may blow towards the wall, or away from it.
+    """
+    rng = stream(seed, "weather")
+    speed_mps = float(rng.choice((-1, 1)) * rng.uniform(0.0, fastest_mps))
+    turned = _about_z(float(rng.uniform(-aside_rad, aside_rad))) @ along_world
+    x, y, z = (speed_mps * turned).tolist()
+    return x, y, z
 
 
 def _about_z(angle_rad: float) -> Array:

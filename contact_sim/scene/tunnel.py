@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -11,8 +12,9 @@ from contact_sim.chance import stream
 from contact_sim.scene import Lamp, Light, Scene, shapes, textures
 from contact_sim.scene.board import add_board
 from contact_sim.scene.lamps import add_lamp, light_from_all_sides
-from contact_sim.scene.shapes import Shape, add_shape, joined, moved, seen_from
-from contact_sim.scene.site import CLEAR_M, Site, add_solid, draw_site
+from contact_sim.scene.parts import Parts
+from contact_sim.scene.shapes import seen_from
+from contact_sim.scene.site import CLEAR_M, Site, draw_site, draw_wind
 from contact_sim.scene.textures import Paint
 from rgbd_wire.geometry import Array, Pose, rotation_from_vector
 from target_pose.target import load_round_target
@@ -20,6 +22,7 @@ from target_pose.target import load_round_target
 LENGTH_M = 14.0
 RAIL_M = 0.09
 """Height of the rails above the floor."""
+_VENTILATION_MPS = 1.0
 _TILE_M = 1.6
 _ACROSS, _ALONG = 44, 52
 
@@ -72,9 +75,11 @@ def build_tunnel(seed: int, board: str) -> Scene:
     spec = mujoco.MjSpec()
     spec.modelname = "tunnel"
     world_from_tube = site.world_from_site @ site_from_tube
-    paints = _add_rock(spec, rng, tube, world_from_tube, site_from_tube, site)
-    _add_solids(spec, site, tube, site_from_tube)
-    paints |= _add_fittings(spec, rng, tube, world_from_tube, site_from_tube, site)
+    parts = Parts(spec, world_from_tube)
+    paints = _add_rock(parts, rng, tube, site_from_tube, site)
+    _add_solids(parts, tube)
+    paints |= _add_fittings(parts, rng, tube, site_from_tube, site)
+    parts.draw()
     paints |= _add_plate(spec, rng, site)
     paints["print"] = add_board(
         spec, load_round_target(), board, site.world_from_target, stream(seed, f"print {board}")
@@ -82,6 +87,8 @@ def build_tunnel(seed: int, board: str) -> Scene:
     light_from_all_sides(spec, float(rng.uniform(0.05, 0.09)))
     lamps = _add_lamps(spec, rng, tube, world_from_tube, board_x)
     near = [tube.floor_m((site_from_tube.inverse() @ p)[0]) for p in _way(site)]
+    along_tube = world_from_tube.rotation[:, 0]
+    wind_world = draw_wind(seed, along_tube, _VENTILATION_MPS, 0.0)
     level_site = site_from_tube.translation[2]
     facts = {
         **site.facts,
@@ -91,6 +98,7 @@ def build_tunnel(seed: int, board: str) -> Scene:
         "height_m": tube.height_m,
         "slope": tube.slope,
         "lamps": len(lamps),
+        "wind_mps": math.hypot(*wind_world),
     }
     haze = float(rng.uniform(0.01, 0.07))
     return Scene(
@@ -112,6 +120,7 @@ def build_tunnel(seed: int, board: str) -> Scene:
         ),
         facts=facts,
         paints=paints,
+        wind_world=wind_world,
     )
 
 
@@ -120,16 +129,9 @@ def _way(site: Site) -> tuple[Array, Array]:
 
 
 def _add_rock(
-    spec: mujoco.MjSpec,
-    rng: np.random.Generator,
-    tube: _Tube,
-    world_from_tube: Pose,
-    site_from_tube: Pose,
-    site: Site,
+    parts: Parts, rng: np.random.Generator, tube: _Tube, site_from_tube: Pose, site: Site
 ) -> dict[str, Paint]:
     """Vault, face and floor, rough but for where the board hangs; returns what paints them."""
-    textures.add_bare_material(spec, "rock")
-    textures.add_bare_material(spec, "ground")
     paints = {"rock": textures.rock(rng), "ground": textures.gravel(rng)}
     inside = np.array([LENGTH_M / 2, 0.0, 1.0])
     profile = tube.profile()
@@ -157,8 +159,7 @@ def _add_rock(
     face[..., 0] = _flat_near(relief, site_from_tube @ face, site)
     texture = np.stack(np.broadcast_arrays(y[None, :], -z[:, None]), -1) / _TILE_M
     face_shape = seen_from(inside, shapes.grid(face, texture))
-    rock = joined([tube_shape, face_shape])
-    add_shape(spec, "rock", moved(rock, world_from_tube), "rock")
+    parts.add("rock", tube_shape, face_shape)
 
     x = np.linspace(-0.5, LENGTH_M, 40)
     y = np.linspace(-tube.width_m / 2 - 0.3, tube.width_m / 2 + 0.3, 16)
@@ -167,8 +168,7 @@ def _add_rock(
     bumps = 0.012 * textures.cloud(rng, 64, 1.4)[:40, :16]
     floor[..., 2] = tube.slope * x[:, None] + np.clip(bumps, -0.03, 0.03)
     texture = np.stack(np.broadcast_arrays(y[None, :], x[:, None]), -1) / 1.2
-    ground = seen_from(inside, shapes.grid(floor, texture))
-    add_shape(spec, "ground", moved(ground, world_from_tube), "ground")
+    parts.add("ground", seen_from(inside, shapes.grid(floor, texture)))
     return paints
 
 
@@ -180,39 +180,28 @@ def _flat_near(relief: Array, points_site: Array, site: Site) -> Array:
     return np.asarray(relief * share**2 * (3 - 2 * share))
 
 
-def _add_solids(spec: mujoco.MjSpec, site: Site, tube: _Tube, site_from_tube: Pose) -> None:
+def _add_solids(parts: Parts, tube: _Tube) -> None:
     """What can be touched of the rock: slabs all round, behind its mean surface."""
     thick, length = 0.4, LENGTH_M + 1.0
-    profile = tube.profile()[::4]
-    for a, b in zip(profile[:-1], profile[1:], strict=True):
+    pitch = rotation_from_vector(np.array([0.0, -math.atan(tube.slope), 0.0]))
+    profile = tube.profile()
+    corners = [*profile[:-1:4], profile[-1]]
+    for a, b in pairwise(corners):
         edge = b - a
         span = float(np.linalg.norm(edge))
         normal = np.array([edge[1], -edge[0]]) / span  # inwards
         middle = (a + b) / 2 - normal * thick / 2
-        angle = math.atan2(normal[1], normal[0])
-        turn = rotation_from_vector(np.array([angle, 0.0, 0.0]))
-        pitch = rotation_from_vector(np.array([0.0, -math.atan(tube.slope), 0.0]))
-        center = np.array([LENGTH_M / 2, middle[0], middle[1] + tube.slope * LENGTH_M / 2])
-        turned = site_from_tube.rotation @ pitch @ turn
-        size = np.array([length, thick, span + 0.1])
-        add_solid(spec, site, site_from_tube @ center, size, turned)
-    rest = site_from_tube.rotation
-    size = np.array([thick, tube.width_m + 1, tube.height_m + 1])
-    face = np.array([-thick / 2, 0.0, tube.height_m / 2])
-    add_solid(spec, site, site_from_tube @ face, size, rest)
-    pitch = rotation_from_vector(np.array([0.0, -math.atan(tube.slope), 0.0]))
-    floor = np.array([LENGTH_M / 2, 0.0, tube.slope * LENGTH_M / 2 - thick / 2])
-    size = np.array([length, tube.width_m + 1, thick])
-    add_solid(spec, site, site_from_tube @ floor, size, rest @ pitch)
+        turn = rotation_from_vector(np.array([math.atan2(normal[1], normal[0]), 0.0, 0.0]))
+        center = (LENGTH_M / 2, middle[0], middle[1] + tube.slope * LENGTH_M / 2)
+        parts.solid_box("rock", center, (length, thick, span + 0.1), pitch @ turn)
+    face = (-thick / 2, 0.0, tube.height_m / 2)
+    parts.solid_box("rock", face, (thick, tube.width_m + 1, tube.height_m + 1))
+    floor = (LENGTH_M / 2, 0.0, tube.slope * LENGTH_M / 2 - thick / 2)
+    parts.solid_box("ground", floor, (length, tube.width_m + 1, thick), pitch)
 
 
 def _add_fittings(
-    spec: mujoco.MjSpec,
-    rng: np.random.Generator,
-    tube: _Tube,
-    world_from_tube: Pose,
-    site_from_tube: Pose,
-    site: Site,
+    parts: Parts, rng: np.random.Generator, tube: _Tube, site_from_tube: Pose, site: Site
 ) -> dict[str, Paint]:
     """Rails, a duct under the vault, cables and pipes along the walls, and what was left there.
 
@@ -220,28 +209,25 @@ def _add_fittings(
     """
     half, pitch = tube.width_m / 2, np.array([1.0, 0.0, tube.slope])
     start, end = 0.7, LENGTH_M - 0.2
-    steel, dark, paint = [], [], []
 
-    def line(y: float, z: float, radius: float) -> Shape:
+    def line(look: str, y: float, z: float, radius: float) -> None:
         a, b = start * pitch + (0, y, z), end * pitch + (0, y, z)
-        return shapes.rod(a, b, radius, 0.8)
+        parts.rod(look, a, b, radius, 0.8)
 
     for y in (-0.45, 0.45):
-        steel.append(line(y, RAIL_M - 0.035, 0.035))
+        line("steel", y, RAIL_M - 0.035, 0.035)
     for x in np.arange(start, end, 0.8):
-        dark.append(shapes.block(np.array([x, 0.0, tube.floor_m(x) + 0.02]), (0.2, 1.3, 0.06), 0.8))
+        parts.block("dark", (x, 0.0, tube.floor_m(x) + 0.02), (0.2, 1.3, 0.06), 0.8)
     duct = float(rng.uniform(0.2, 0.3))
-    paint.append(line(float(rng.choice((-1, 1))) * 0.25 * half, tube.height_m - duct - 0.1, duct))
+    duct_y = float(rng.choice((-1, 1))) * 0.25 * half
+    line("paint", duct_y, tube.height_m - duct - 0.1, duct)
     for side in (-1, 1):
         low = rng.uniform(0.25, 0.6)
         for k in range(int(rng.integers(1, 4))):
-            dark.append(line(side * (half - 0.08), tube.wall_m - 0.15 + 0.09 * k, 0.022))
+            line("dark", side * (half - 0.08), tube.wall_m - 0.15 + 0.09 * k, 0.022)
         if rng.random() < 0.7:
-            steel.append(line(side * (half - 0.12), low, rng.uniform(0.04, 0.08)))
-    _add_clutter(rng, tube, site_from_tube, site, paint, dark)
-    for name, parts in (("steel", steel), ("dark", dark), ("paint", paint)):
-        textures.add_bare_material(spec, name)
-        add_shape(spec, name, moved(joined(parts), world_from_tube), name)
+            line("steel", side * (half - 0.12), low, rng.uniform(0.04, 0.08))
+    _add_clutter(parts, rng, tube, site_from_tube, site)
     return {
         "steel": textures.painted_steel(rng, (0.25, 0.24, 0.23)),
         "dark": textures.painted_steel(rng, (0.05, 0.045, 0.04)),
@@ -250,12 +236,7 @@ def _add_fittings(
 
 
 def _add_clutter(
-    rng: np.random.Generator,
-    tube: _Tube,
-    site_from_tube: Pose,
-    site: Site,
-    paint: list[Shape],
-    dark: list[Shape],
+    parts: Parts, rng: np.random.Generator, tube: _Tube, site_from_tube: Pose, site: Site
 ) -> None:
     """Crates and drums along the walls, clear of where the drone flies."""
     way = np.array([p[:2] for p in _way(site)])
@@ -267,10 +248,10 @@ def _add_clutter(
         if _distance(place, way) < 1.2:
             continue
         if rng.random() < 0.5:
-            paint.append(shapes.rod((x, y, floor), (x, y, floor + height), 0.28, 0.8))
+            parts.rod("paint", (x, y, floor), (x, y, floor + height), 0.28, 0.8)
         else:
-            center = np.array([x, y, floor + height / 2])
-            dark.append(shapes.block(center, (rng.uniform(0.3, 0.8), 0.45, height), 0.8))
+            size = (rng.uniform(0.3, 0.8), 0.45, height)
+            parts.block("dark", (x, y, floor + height / 2), size, 0.8)
 
 
 def _distance(place: Array, way: Array) -> float:
@@ -285,13 +266,11 @@ def _add_plate(spec: mujoco.MjSpec, rng: np.random.Generator, site: Site) -> dic
 
     Returns what paints it.
     """
-    textures.add_bare_material(spec, "bracket")
+    parts = Parts(spec, site.world_from_site)
     off = site.site_from_target.translation
-    parts = [
-        shapes.block(np.array([off[0] / 2 - 0.03, y, off[2]]), (off[0], 0.04, 0.3), 0.5)
-        for y in (-0.12, 0.12)
-    ]
-    add_shape(spec, "bracket", moved(joined(parts), site.world_from_site), "bracket")
+    for y in (-0.12, 0.12):
+        parts.block("bracket", (off[0] / 2 - 0.03, y, off[2]), (off[0], 0.04, 0.3), 0.5)
+    parts.draw()
     return {"bracket": textures.painted_steel(rng, (0.3, 0.3, 0.3))}
 
 

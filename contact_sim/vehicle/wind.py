@@ -34,8 +34,8 @@ class WindSettings:
         ValueError: a value is out of its bounds.
     """
 
-    mean_world: Vec3 = ZERO
-    """[m/s], where it blows to."""
+    mean_world: Vec3 | None = None
+    """[m/s], where it blows to; None: as in the scene."""
     gust_share: float = 0.15
     """Spread of each component, as a share of the mean speed; across the ground half of it."""
     length_m: float = 8.0
@@ -47,19 +47,28 @@ class WindSettings:
 
     def __post_init__(self) -> None:
         check_bounds(self, _BOUNDS)
-        if not math.hypot(*self.mean_world) <= MAX_WIND_MPS:
-            raise ValueError(
-                f"WindSettings.mean_world = {self.mean_world} is over {MAX_WIND_MPS:g} m/s"
-            )
+        mean = self.mean_world or ZERO
+        if not math.hypot(*mean) <= MAX_WIND_MPS:
+            raise ValueError(f"WindSettings.mean_world = {mean} is over {MAX_WIND_MPS:g} m/s")
 
 
 class Wind:
     """The wind at the drone; stepped by the simulation."""
 
-    def __init__(self, settings: WindSettings, rng: np.random.Generator) -> None:
+    def __init__(
+        self, settings: WindSettings, rng: np.random.Generator, scene_world: Vec3 = ZERO
+    ) -> None:
+        """Let it blow.
+
+        Args:
+            settings: how.
+            rng: where its gusts come from.
+            scene_world: mean of the scene's wind [m/s], for settings without one.
+        """
         self._settings = settings
         self._normal = normals(rng)
-        x, y, z = settings.mean_world
+        self.mean_world = scene_world if settings.mean_world is None else settings.mean_world
+        x, y, z = self.mean_world
         self._speed_mps = math.hypot(x, y, z)
         level = math.hypot(x, y)
         self._along = (x / level, y / level) if level > 1e-9 else (1.0, 0.0)
@@ -89,7 +98,7 @@ class Wind:
     def step(self, dt_s: float) -> Vec3:
         """Wind [m/s] in the world, a step later."""
         self._t_s += dt_s
-        x, y, z = self._settings.mean_world
+        x, y, z = self.mean_world
         if self._spread_mps > 0.0:
             u, v, w = self._eddies(dt_s)
             c, s = self._along

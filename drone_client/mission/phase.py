@@ -70,6 +70,8 @@ class Reason(StrEnum):
     HOLD_TOO_LONG = "hold_too_long"
     BRAKED = "braked"
     """Stands again, and knows where: back to the stand-off point first."""
+    PUSHED = "pushed"
+    """The drone closes in faster than it was told to."""
     NO_PROGRESS = "no_progress"
     ATTEMPT_TOO_LONG = "attempt_too_long"
     CONTACT_LOST = "contact_lost"

@@ -22,6 +22,9 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "attempts": (1, 10),
     "progress_m": (0.002, 0.2),
     "progress_s": (1.0, 60.0),
+    "pushed_mps": (0.01, 2.0),
+    "pushed_m": (0.0, 1.0),
+    "turn_s": (0.0, 2.0),
     "leap_m": (0.005, 0.5),
     "leap_rad": (0.0, 0.5),
     "doubt_outliers": (1, 10),
@@ -78,6 +81,14 @@ class MissionSettings:
     """An approach must come nearer by this much"""
     progress_s: float = 6.0
     """within this time."""
+    pushed_mps: float = 0.05
+    """An approach is given up where the drone closes in faster by this than it was told to: wind
+    pushes it on,"""
+    pushed_m: float = 0.1
+    """nearer to the board than this,"""
+    turn_s: float = 0.4
+    """and further from the touch than this: later, a vehicle that is told to go back pitches its
+    tip up and touches all the same, beside the mouth."""
     leap_m: float = 0.05
     """The tip cannot move by more between two ticks, beside what it can fly; if its place in the
     target's frame does, it is the estimate that has moved."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from drone_client.cbf.freshness import Freshness
+from drone_client.cbf.vector import dot, is_bounded
 from drone_client.mission.move import (
     Move,
     is_doubted,
@@ -17,6 +18,10 @@ from drone_client.mission.move import (
 from drone_client.mission.phase import Order, Phase, Reason
 from drone_client.mission.settings import MissionSettings
 from drone_client.mission.state import MissionState, Observation
+from rgbd_wire.geometry import vec3
+
+FASTEST_MPS = 1e3
+"""A velocity beyond this is a fault of what says it."""
 
 
 def way_on(state: MissionState, obs: Observation, settings: MissionSettings) -> Move | None:
@@ -31,7 +36,7 @@ def way_on(state: MissionState, obs: Observation, settings: MissionSettings) -> 
         case Phase.ALIGN:
             return _align(state, settings)
         case Phase.APPROACH:
-            return _approach(state, settings)
+            return _approach(state, obs, settings)
         case Phase.RETREAT:
             return _retreat(state, obs, settings)
         case Phase.HOLD:
@@ -67,12 +72,20 @@ def _align(state: MissionState, settings: MissionSettings) -> Move | None:
     return None
 
 
-def _approach(state: MissionState, settings: MissionSettings) -> Move | None:
+def _approach(state: MissionState, obs: Observation, settings: MissionSettings) -> Move | None:
     if state.contact.touching:
         return Move(
             Phase.CONTACT,
             Reason.TOUCHED,
             f"the arm touches: {state.contact.votes}, {place(state)}",
+        )
+    closing_mps = _closing_mps(obs)
+    if closing_mps is not None and _pushed(state, closing_mps, settings):
+        return Move(
+            Phase.RETREAT,
+            Reason.PUSHED,
+            f"closes in at {closing_mps:.3f} m/s, told to at {-state.told.commanded_mps:.3f}: "
+            f"{place(state)}",
         )
     if lasts(state.nearest_ns, state.now_ns, settings.progress_s):
         return Move(
@@ -88,6 +101,27 @@ def _approach(state: MissionState, settings: MissionSettings) -> Move | None:
             f"no contact {settings.attempt_max_s:g} s after the attempt began",
         )
     return None
+
+
+def _closing_mps(obs: Observation) -> float | None:
+    """How fast the body comes towards the board [m/s]; None: the vehicle does not say."""
+    vehicle = obs.senses.vehicle
+    said = None if vehicle is None else vehicle.velocity_world
+    if obs.seen is None or said is None or said.shape != (3,):
+        return None
+    velocity = vec3(said)
+    return -dot(obs.seen.axis_world, velocity) if is_bounded(velocity, FASTEST_MPS) else None
+
+
+def _pushed(state: MissionState, closing_mps: float, settings: MissionSettings) -> bool:
+    """Whether something drives the drone on, and there is room yet to turn."""
+    if state.tip_target is None:
+        return False
+    x_m, told_mps = state.tip_target[0], max(0.0, -state.told.commanded_mps)
+    return (
+        closing_mps > told_mps + settings.pushed_mps
+        and settings.turn_s * closing_mps < x_m < settings.pushed_m
+    )
 
 
 def _contact(state: MissionState, settings: MissionSettings) -> Move | None:

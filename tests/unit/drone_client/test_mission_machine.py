@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -380,6 +381,38 @@ def test_an_approach_without_progress_is_given_up_and_tried_again_a_few_times() 
         t.ticks(1.5, seen(1.0))
     assert (t.phase, t.reason) == (Phase.ABORT, Reason.ATTEMPTS_SPENT)
     assert [m.reason for m in t.transitions].count(Reason.TRY_AGAIN) == 2
+
+
+@pytest.mark.parametrize(
+    ("x_m", "closing_mps", "gives_up"),
+    [
+        (0.06, 0.1, True),  # pushed, 0.6 s before the touch
+        (0.06, 0.07, False),  # no more than wind does every day
+        (0.06, 0.16, False),  # too late to turn without pitching the tip up at the board
+        (0.12, 0.2, False),  # far enough for the filter to slow it
+        (0.06, -0.1, False),
+        (0.06, math.nan, False),
+        (0.06, math.inf, False),
+    ],
+)
+def test_an_approach_that_is_pushed_on_is_given_up_while_it_can_be(x_m, closing_mps, gives_up):
+    """Faster than it was told to, near the board, and with time to turn."""
+    t = in_phase(Phase.APPROACH).glide(x_m)
+    velocity = np.array([closing_mps, 0.0, 0.0])  # the board's axis points along -x of the world
+    t.tick(seen(x_m), told=PRESSED, vehicle=vehicle(velocity_world=velocity))
+    assert (t.reason is Reason.PUSHED) is gives_up
+    assert t.phase is (Phase.RETREAT if gives_up else Phase.APPROACH)
+
+
+def test_what_was_told_is_what_counts():
+    """The same speed is no push where it was asked for; nor by a vehicle that tells no speed."""
+    fast = vehicle(velocity_world=np.array([0.1, 0.0, 0.0]))
+    t = in_phase(Phase.APPROACH).glide(0.06)
+    t.tick(seen(0.06), told=Told(Status.INACTIVE, 0.01, -0.08), vehicle=fast)
+    t.tick(seen(0.06), told=PRESSED)
+    assert t.phase is Phase.APPROACH
+    t.tick(seen(0.06), told=PRESSED, vehicle=fast)
+    assert "closes in at 0.100 m/s, told to at 0.030" in t.transitions[-1].sentence
 
 
 def test_a_contact_that_is_lost_is_an_attempt_that_failed() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from contact_sim.chance import stream
 from contact_sim.scene.board import PLATE_M
-from contact_sim.scene.site import SWEPT_M, draw_site
+from contact_sim.scene.site import SWEPT_M, draw_site, draw_wind
 
 
 @given(st.integers(0, 10**9), st.floats(2.1, 3.5), st.floats(0.3, 1.5))
@@ -42,3 +42,15 @@ def test_the_world_is_the_site_turned_and_carried(seed):
     in_site = site.site_from_body.translation - site.site_from_target.translation
     assert math.isclose(np.linalg.norm(apart), np.linalg.norm(in_site), rel_tol=1e-9)
     assert math.isclose(apart[2], in_site[2], abs_tol=1e-9)
+
+
+@given(st.integers(0, 10**9), st.floats(0.0, 5.0), st.floats(0.0, 1.5), st.floats(-3.1, 3.1))
+def test_the_wind_blows_along_the_wall(seed, fastest, aside, heading):
+    """Level, no faster than it may be, and no further aside; the same for a seed."""
+    along = np.array([math.cos(heading), math.sin(heading), 0.0])
+    wind = draw_wind(seed, along, fastest, aside)
+    assert wind == draw_wind(seed, along, fastest, aside)
+    speed = math.hypot(*wind)
+    assert wind[2] == 0.0
+    assert speed <= fastest + 1e-12
+    assert abs(along @ np.array(wind)) >= speed * math.cos(aside) - 1e-9
