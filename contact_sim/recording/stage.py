@@ -14,6 +14,7 @@ from contact_sim.scene.drone import add_drone
 from contact_sim.sensing import d455
 from contact_sim.sensing.renderer import Renderer
 from drone_client.airframe import Airframe
+from drone_client.cbf.keep_out import BodyPart, KeepOut
 from drone_client.viewing.facts import FlightFacts
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from rgbd_wire.geometry import Array, Pose
@@ -43,8 +44,7 @@ class Stage:
 
     def __init__(self, scene: Scene, facts: FlightFacts, width: int, height: int) -> None:
         spec = scene.spec.copy()
-        airframe = Airframe(facts.body_from_camera, facts.body_from_tip)
-        add_drone(spec, airframe, d455(), scene.world_from_body)
+        add_drone(spec, _airframe(facts), d455(), scene.world_from_body)
         _paint(spec)
         self.model = spec.compile()
         self.intrinsics = _pinhole(OVERSAMPLE * width, OVERSAMPLE * height)
@@ -84,6 +84,14 @@ class Stage:
             np.zeros(1, dtype=np.int32),
         )
         return np.inf if nearest < 0 else max(0.0, nearest - CLEAR_M)
+
+
+def _airframe(facts: FlightFacts) -> Airframe:
+    """The drone that was flown, as far as it is drawn."""
+    discs = tuple(BodyPart(p.center_body, p.radius_m, (0.0, 0.0, 1.0)) for p in facts.propellers)
+    return Airframe(
+        facts.body_from_camera, facts.body_from_tip, (KeepOut("wall of the board", discs),)
+    )
 
 
 def _paint(spec: mujoco.MjSpec) -> None:
