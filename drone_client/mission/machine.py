@@ -62,7 +62,7 @@ def step(
     state = _looked(state, obs, settings)
     move = None if state.phase.final else _next(state, obs, settings)
     if move is not None:
-        state = _entered(state, move, obs)
+        state = _entered(state, move, obs, settings)
     intent = _intent(state, obs, settings)
     if state.given_back is not intent.give_back:
         state = replace(state, given_back=intent.give_back)
@@ -188,7 +188,9 @@ def _heading(obs: Observation) -> float | None:
     return heading if usable and obs.own_pose else None
 
 
-def _entered(state: MissionState, move: Move, obs: Observation) -> MissionState:
+def _entered(
+    state: MissionState, move: Move, obs: Observation, settings: MissionSettings
+) -> MissionState:
     """The state at the begin of a phase."""
     now_ns, before = state.now_ns, state.phase
     state = replace(
@@ -215,7 +217,11 @@ def _entered(state: MissionState, move: Move, obs: Observation) -> MissionState:
             )
         case Phase.ALIGN if before in (Phase.SEARCH, Phase.RETREAT):
             return replace(
-                state, attempts=state.attempts + 1, attempt_ns=now_ns, aligned_since_ns=None
+                state,
+                attempts=state.attempts + 1,
+                attempt_ns=now_ns,
+                aligned_since_ns=None,
+                flickers=0,
             )
         case Phase.APPROACH:
             x_m = 0.0 if state.tip_target is None else state.tip_target[0]
@@ -225,7 +231,12 @@ def _entered(state: MissionState, move: Move, obs: Observation) -> MissionState:
         case Phase.HOLD:
             # A contact that was broken off is felt anew, from the approach.
             back = {Phase.CONTACT: Phase.APPROACH, Phase.BRAKE: Phase.RETREAT}
-            return replace(state, resume=back.get(before, before))
+            flickers = before.near and move.reason in (Reason.TARGET_OLD, Reason.TARGET_DOUBTED)
+            at = state.tip_target
+            counts = flickers and at is not None and at[0] < settings.flicker_m
+            return replace(
+                state, resume=back.get(before, before), flickers=state.flickers + int(counts)
+            )
         case Phase.ABORT:
             never_ours = state.begun_ns is None
             off = state.hands_off or never_ours or move.reason is Reason.CLOCK_STANDS

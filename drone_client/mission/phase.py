@@ -72,6 +72,8 @@ class Reason(StrEnum):
     """Stands again, and knows where: back to the stand-off point first."""
     PUSHED = "pushed"
     """The drone closes in faster than it was told to."""
+    FLICKERS = "flickers"
+    """The target comes and goes, with the tip near the board."""
     NO_PROGRESS = "no_progress"
     ATTEMPT_TOO_LONG = "attempt_too_long"
     CONTACT_LOST = "contact_lost"

@@ -25,6 +25,8 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "pushed_mps": (0.01, 2.0),
     "pushed_m": (0.0, 1.0),
     "turn_s": (0.0, 2.0),
+    "flickers": (1, 100),
+    "flicker_m": (0.0, 1.0),
     "leap_m": (0.005, 0.5),
     "leap_rad": (0.0, 0.5),
     "doubt_outliers": (1, 10),
@@ -89,6 +91,11 @@ class MissionSettings:
     turn_s: float = 0.4
     """and further from the touch than this: later, a vehicle that is told to go back pitches its
     tip up and touches all the same, beside the mouth."""
+    flickers: int = 3
+    """An attempt that has halted so often for knowledge that is old or doubtful is given up,"""
+    flicker_m: float = 0.1
+    """halts nearer to the board than this alone counted: a tip that comes and goes there will not
+    always come to the mouth."""
     leap_m: float = 0.05
     """The tip cannot move by more between two ticks, beside what it can fly; if its place in the
     target's frame does, it is the estimate that has moved."""

@@ -117,6 +117,8 @@ class MissionState:
     attempts: int = 0
     attempt_ns: int = 0
     """When the present attempt began."""
+    flickers: int = 0
+    """Halts near the board in this attempt."""
     touched: bool = False
     """The dwell is over: what is left is the way back."""
     nearest_m: float = 0.0

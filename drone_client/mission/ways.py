@@ -175,6 +175,12 @@ def _hold(state: MissionState, obs: Observation, settings: MissionSettings) -> M
         return None
     if state.resume is Phase.RETREAT:
         return Move(Phase.RETREAT, Reason.GOOD_AGAIN, "goes on with the retreat")
+    if state.resume is Phase.APPROACH and state.flickers >= settings.flickers:
+        return Move(
+            Phase.RETREAT,
+            Reason.FLICKERS,
+            f"halted {state.flickers} times near the board, for the target comes and goes",
+        )
     seen = trusted(state, obs)
     if state.resume is Phase.SEARCH:
         doubted = seen is not None and is_doubted(seen, settings)

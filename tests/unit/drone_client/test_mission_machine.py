@@ -415,6 +415,39 @@ def test_what_was_told_is_what_counts():
     assert "closes in at 0.100 m/s, told to at 0.030" in t.transitions[-1].sentence
 
 
+def halted(t: Flown, x_m: float) -> Flown:
+    """Once, for knowledge that is old, and good again."""
+    t.ticks(0.2, seen(x_m, freshness=Freshness.HOLD, age_ns=400 * MS))
+    assert t.phase is Phase.HOLD
+    return t.ticks(0.5, seen(x_m))
+
+
+def test_an_attempt_that_flickers_near_the_board_is_given_up():
+    """The third halt; the next attempt counts anew."""
+    t = in_phase(Phase.APPROACH).glide(0.05)
+    for _ in range(SETTINGS.flickers - 1):
+        halted(t, 0.05)
+        assert t.phase is Phase.APPROACH
+    halted(t, 0.05)
+    assert (t.phase, t.reason) == (Phase.RETREAT, Reason.FLICKERS)
+    assert "3 times" in t.transitions[-1].sentence
+    t.glide(1.0).ticks(3.0, seen(1.0)).glide(0.05)
+    assert (t.phase, t.state.attempts, t.state.flickers) == (Phase.APPROACH, 2, 0)
+
+
+def test_halts_far_from_the_board_or_for_a_person_do_not_count():
+    """There is room there; and a person knows why."""
+    t = in_phase(Phase.APPROACH)
+    for _ in range(5):
+        halted(t, 0.9)
+    t.glide(0.05)
+    for _ in range(5):
+        t.tick(seen(0.05), order=Order.HOLD)
+        assert t.reason is Reason.ORDERED_HOLD
+        t.ticks(0.5, seen(0.05))
+    assert (t.phase, t.state.flickers) == (Phase.APPROACH, 0)
+
+
 def test_a_contact_that_is_lost_is_an_attempt_that_failed() -> None:
     """The tip springs back: away, and again."""
     t = in_phase(Phase.CONTACT)
