@@ -61,9 +61,9 @@ class GuidanceSettings:
     """Largest wanted yaw rate."""
     push_m: float = 0.025
     """The goal lies so far behind the board that contact presses the compliant arm."""
-    touch_mps: float = 0.03
+    touch_mps: float = 0.027
     """Wanted closing speed in the plane of the board. A vehicle whose velocity comes ``T`` late
-    touches at about ``touch_mps / (1 - k_x T)``: 0.037 m/s for 0.45 s of lag and delay. (Where
+    touches at about ``touch_mps / (1 - k_x T)``: 0.033 m/s for 0.45 s of lag and delay. (Where
     ``k_x T`` is under 0.2.)"""
     press_mps: float = 0.04
     """Wanted speed into the board once it is touched: the arm holds a soft vehicle back."""

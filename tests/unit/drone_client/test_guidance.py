@@ -27,14 +27,14 @@ def facing(x: float, y: float, z: float, yaw_error: float = 0.0) -> Pose:
 def test_in_line_it_closes_in() -> None:
     """On the axis and square, the wish is -(touch + k_x x) along x."""
     nominal = guide(facing(0.3, 0.0, 0.0), SETTINGS, UP)
-    assert nominal.velocity_tip_target == pytest.approx((-0.03 - 0.4 * 0.3, 0.0, 0.0))
+    assert nominal.velocity_tip_target == pytest.approx((-0.027 - 0.4 * 0.3, 0.0, 0.0))
     assert nominal.yaw_rate_radps == pytest.approx(0.0, abs=1e-12)
 
 
 def test_across_it_is_three_times_as_eager() -> None:
     """The lateral gain is the larger, so that the tip lines up before it arrives."""
     vx, vy, vz = guide(facing(0.1, 0.02, -0.01), SETTINGS, UP).velocity_tip_target
-    assert (vx, vy, vz) == pytest.approx((-0.03 - 0.4 * 0.1, -1.2 * 0.02, 1.2 * 0.01))
+    assert (vx, vy, vz) == pytest.approx((-0.027 - 0.4 * 0.1, -1.2 * 0.02, 1.2 * 0.01))
 
 
 def test_the_goal_lies_behind_the_board() -> None:
@@ -67,14 +67,14 @@ def test_a_vehicle_that_follows_late_still_touches_gently(k_x, late_s) -> None:
         commands.append(guide(facing(x, 0, 0), settings, UP).velocity_tip_target[0])
         v += dt / 0.3 * (commands.pop(0) - v)
         x += dt * v
-    assert -v == pytest.approx(0.03 / (1 - k_x * (0.3 + late_s)), rel=0.05)
+    assert -v == pytest.approx(0.027 / (1 - k_x * (0.3 + late_s)), rel=0.05)
 
 
 def test_far_away_it_may_only_be_as_fast_as_it_can_brake() -> None:
     """The square root bounds what the gain asks for where the vehicle brakes badly."""
     weak = GuidanceSettings(brake_mps2=0.05)
     vx, _, _ = guide(facing(0.8, 0.0, 0.0), weak, UP).velocity_tip_target
-    assert vx == pytest.approx(-math.sqrt(0.03**2 + 2 * 0.05 * 0.8))
+    assert vx == pytest.approx(-math.sqrt(0.027**2 + 2 * 0.05 * 0.8))
 
 
 @given(angles.filter(lambda a: abs(a) < 3.1))
@@ -135,7 +135,7 @@ def test_a_far_target_is_approached_at_the_speed_limit_in_the_same_direction() -
     """The wish is shortened as a whole, not cut per axis."""
     vx, vy, vz = guide(facing(2.0, 1.5, 0.0), SETTINGS, UP).velocity_tip_target
     assert math.hypot(vx, vy, vz) == pytest.approx(0.4)
-    assert vy / vx == pytest.approx(1.2 * 1.5 / (0.03 + 0.4 * 2.0))
+    assert vy / vx == pytest.approx(1.2 * 1.5 / (0.027 + 0.4 * 2.0))
 
 
 @given(coordinates, coordinates, coordinates, angles, st.sampled_from(Aim))
