@@ -46,7 +46,7 @@ def on_the_ground(scene: Scene) -> Scene:
         group=SEEN_GROUP,
     )
     stands = np.array([start[0], start[1], level_m + HULL_DOWN_M + DROP_M])
-    return replace(scene, bare=bare, world_from_body=Pose.from_rotation(turn, stands))
+    return replace(scene, bare=bare, world_from_body=Pose(stands, heading.q_wxyz))
 
 
 def _highest_m(scene: Scene, heading: Pose) -> float:

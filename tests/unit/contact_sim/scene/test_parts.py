@@ -11,33 +11,11 @@ import pytest
 from contact_sim.scene import SEEN_GROUP, TOUCHED_GROUP, WORLDS, build_scene
 from contact_sim.scene.parts import Parts
 from rgbd_wire.geometry import Pose, rotation_from_vector
+from tests.unit.contact_sim.scene.rays import Rays
 
 PLACE = Pose.from_rotation(rotation_from_vector(np.array([0.3, -0.2, 2.0])), np.array([1.0, 2, 3]))
 ROUGH_M = 0.6
 """Rock and gravel are touched where they are on average; along a slanted ray."""
-
-
-def one_group(group):
-    chosen = np.zeros(6, np.uint8)
-    chosen[group] = 1
-    return chosen
-
-
-class Rays:
-    """What is seen of a world, and what is touched, along the same rays."""
-
-    def __init__(self, spec):
-        self.model = spec.compile()
-        self.data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, self.data)
-
-    def far(self, start, direction, group):
-        """How far it is, and the geom's name."""
-        hit = np.zeros(1, np.int32)
-        far = mujoco.mj_ray(
-            self.model, self.data, start, np.asarray(direction), one_group(group), 1, -1, hit
-        )
-        return (math.inf, "") if far < 0 else (far, self.model.geom(int(hit[0])).name)
 
 
 def test_a_block_and_a_rod_are_touched_where_they_are_seen():
@@ -54,8 +32,8 @@ def test_a_block_and_a_rod_are_touched_where_they_are_seen():
         start = PLACE @ (rng.uniform(-1, 1, 3) + (0.0, 0.0, 4.0))
         end = PLACE @ rng.uniform((-0.3, -1.0, -0.4), (0.9, 1.0, 0.4))
         direction = (end - start) / np.linalg.norm(end - start)
-        seen, look = rays.far(start, direction, SEEN_GROUP)
-        touched, name = rays.far(start, direction, TOUCHED_GROUP)
+        seen, look = rays.ray(start, direction, SEEN_GROUP)
+        touched, name = rays.ray(start, direction, TOUCHED_GROUP)
         if math.isinf(seen):
             continue
         # a ray that grazes the round rod may miss its facets
@@ -80,10 +58,10 @@ def test_nothing_that_is_seen_is_air(world, seed):
         for _ in range(200):
             direction = rng.normal(size=3)
             direction /= np.linalg.norm(direction)
-            seen, look = rays.far(place, direction, SEEN_GROUP)
+            seen, look = rays.ray(place, direction, SEEN_GROUP)
             if seen > 8.0 or look in ("board", "print", "sign") or look.startswith("lamp"):
                 continue
-            touched, name = rays.far(place, direction, TOUCHED_GROUP)
+            touched, name = rays.ray(place, direction, TOUCHED_GROUP)
             slack = ROUGH_M if look in ("rock", "ground") else 0.06
             # rays that graze something see a facet and touch what is behind it, or the reverse
             assert abs(touched - seen) < slack or _grazes(rays, place, direction, seen), (
@@ -100,8 +78,8 @@ def _grazes(rays, place, direction, seen):
     up = np.cross(aside, direction)
     for a in np.linspace(0, 2 * math.pi, 8, endpoint=False):
         moved = place + 0.03 * (math.cos(a) * aside + math.sin(a) * up)
-        if abs(rays.far(moved, direction, SEEN_GROUP)[0] - seen) > 0.06:
+        if abs(rays.ray(moved, direction, SEEN_GROUP)[0] - seen) > 0.06:
             return True
-        if abs(rays.far(moved, direction, TOUCHED_GROUP)[0] - seen) < 0.06:
+        if abs(rays.ray(moved, direction, TOUCHED_GROUP)[0] - seen) < 0.06:
             return True
     return False

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-import mujoco
 import numpy as np
 import pytest
 
 from contact_sim.errors import WorldError
 from contact_sim.scene import BOARDS, WORLDS, build_scene
 from target_pose.target import load_target
+from tests.unit.contact_sim.scene.rays import Rays
 
 SIDE_M = load_target().board_side_m
 BODY_FROM_BOARD_M = 0.55
@@ -20,23 +20,12 @@ ROOM_M = 0.42
 SEEDS = range(6)
 
 
-class World:
+class World(Rays):
     """A scene and what rays find in it."""
 
     def __init__(self, world, seed, board="clean"):
         self.scene = build_scene(world, seed, board)
-        self.model = self.scene.spec.compile()
-        self.data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, self.data)
-
-    def ray(self, start, direction):
-        """How far it is to whatever is seen or touched, and its name."""
-        hit = np.zeros(1, np.int32)
-        ahead = np.asarray(direction, float) / np.linalg.norm(direction)
-        far = mujoco.mj_ray(
-            self.model, self.data, np.asarray(start, float), ahead, None, 1, -1, hit, None
-        )
-        return (math.inf, "") if far < 0 else (far, self.model.geom(int(hit[0])).name)
+        super().__init__(self.scene.spec)
 
 
 @pytest.fixture(scope="module")
