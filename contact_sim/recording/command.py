@@ -39,7 +39,7 @@ def film(
     World, seed and board are the flight's own. The drone's own picture is in it if pictures were
     recorded: with --video, --mcap, --rerun or --foxglove of drone-client fly.
 
-    A .webm is done in the time of the flight and a half, an .mp4 in eight times that.
+    A .webm takes one and a half times as long as the flight took, an .mp4 eight times.
 
     Example: python -m contact_sim film runs/a a.webm
     """
