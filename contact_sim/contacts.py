@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import mujoco
@@ -52,6 +53,8 @@ class Contacts:
         """Of the flight, in order; the first thousand."""
         self.worst_impact_mps: dict[str, float] = {}
         """By part."""
+        self.fastest_mps: dict[tuple[str, str], float] = {}
+        """By part and what it met: the fastest impact, also of those that are not kept."""
         self.worst_force_n: dict[str, float] = {}
         """By part; of all that it touched at once."""
         self._model = model
@@ -65,12 +68,23 @@ class Contacts:
         roots = model.body_rootid[model.geom_bodyid]
         self._own: list[bool] = (roots == drone).tolist()
         self._touched_ns: dict[tuple[int, int], int] = {}
+        self._newest_ns = -1
         self._wrench = np.zeros(6)
 
     @property
     def tip_force_n(self) -> float:
         """Of all that the tip touches, in the last step."""
         return sum(touch.force_n for touch in self.touches if touch.part == TIP)
+
+    def since(self, t_ns: int) -> tuple[tuple[str, str], ...]:
+        """Which part was on what in any step that began at a time or later."""
+        if self._newest_ns < t_ns:
+            return ()
+        return tuple(
+            (self._names[part], self._names[other])
+            for (part, other), last_ns in self._touched_ns.items()
+            if last_ns >= t_ns
+        )
 
     def look(self, data: mujoco.MjData, t_ns: int, before: Motion) -> None:
         """Take the contacts of a step that was just made.
@@ -97,7 +111,7 @@ class Contacts:
             touches.append(Touch(name, self._names[other], force_n))
             forces[name] = forces.get(name, 0.0) + force_n
             last_ns = self._touched_ns.get((part, other))
-            self._touched_ns[part, other] = t_ns
+            self._touched_ns[part, other] = self._newest_ns = t_ns
             if last_ns is None or t_ns - last_ns > APART_NS:
                 self._hit(contact, part, other, t_ns, before)
         self.touches = tuple(touches)
@@ -114,6 +128,8 @@ class Contacts:
         velocity = before.point_velocity((x, y, z), on_arm=name == TIP)
         normal = contact.frame[:3].tolist()
         speed = sign * sum(v * n for v, n in zip(velocity, normal, strict=True))
+        pair = name, self._names[other]
         if len(self.impacts) < KEPT_IMPACTS:
-            self.impacts.append(Impact(t_ns, name, self._names[other], speed))
+            self.impacts.append(Impact(t_ns, *pair, speed))
+        self.fastest_mps[pair] = max(speed, self.fastest_mps.get(pair, -math.inf))
         self.worst_impact_mps[name] = max(speed, self.worst_impact_mps.get(name, 0.0))

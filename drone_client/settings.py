@@ -179,6 +179,11 @@ def load_settings(**flags: Any) -> ClientSettings:
         ) from None
 
 
+def default_settings() -> ClientSettings:
+    """Settings that no environment touches: what is flown in lockstep is the same everywhere."""
+    return ClientSettings.model_construct()
+
+
 def about(field: str) -> str:
     """Help of the flag that stands for a field: what it is, and its default."""
     info = ClientSettings.model_fields[field]

@@ -242,7 +242,7 @@ def load_faults(path: Path) -> tuple[Fault, ...]:
         return faults
     except OSError as error:
         raise CampaignError(f"faults {path}: {error.strerror}") from None
-    except (ValueError, RecursionError, CampaignError) as error:
+    except (ValueError, OverflowError, RecursionError, CampaignError) as error:
         raise CampaignError(f"faults {path}: {error}") from None
 
 

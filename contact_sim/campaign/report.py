@@ -30,10 +30,13 @@ def summary(rows: Sequence[FlightRow]) -> dict[str, Any]:
     flown = [row for row in rows if not row.error]
     contacts = [row for row in flown if row.ends == "contact"]
     within = [row.offset_m for row in contacts if row.offset_m is not None]
+    touched = [row for row in flown if row.offset_m is not None]
     return {
         "flights": len(flown),
         "failed": len(rows) - len(flown),
+        "touched": len(touched),
         "contact": len(contacts),
+        "false_contact": sum(row.ends == "false_contact" for row in flown),
         "within_2cm": sum(o <= 0.02 for o in within),
         "within_1cm": sum(o <= 0.01 for o in within),
         "first_attempt": sum(row.attempts == 1 for row in contacts),
@@ -46,7 +49,7 @@ def summary(rows: Sequence[FlightRow]) -> dict[str, Any]:
         "collided": sum(bool(row.collisions) for row in flown),
         "outside": sum(row.outside_m > 0.0 for row in flown),
         "outside_mm": 1e3 * max((row.outside_m for row in flown), default=0.0),
-        "offset_mm": _three(1e3 * o for o in within),
+        "offset_mm": _three(1e3 * r.offset_m for r in touched if r.offset_m is not None),
         "touch_age_ms": _three(1e3 * r.touch_age_s for r in flown if r.touch_age_s is not None),
         "closing_mps": _three(r.closing_mps for r in flown if r.closing_mps is not None),
         "peak_force_n": _three(r.peak_force_n for r in flown if r.touched),
@@ -120,6 +123,7 @@ def _plain(worlds: dict[str, dict[str, Any]]) -> list[str]:
         row("flights", "100", lambda s: str(s["flights"])),
         row("contact within 2 cm", ">= 98 %", lambda s: _share(s["within_2cm"], s["flights"])),
         row("contact within 1 cm", ">= 80 %", lambda s: _share(s["within_1cm"], s["flights"])),
+        row("took for contact what was none", "0", lambda s: str(s["false_contact"])),
         row("never began an approach", "0", lambda s: str(s["no_approach"])),
         row("at the first attempt", "", lambda s: _share(s["first_attempt"], s["flights"])),
         row("offset [mm], p50 / p95 / max", "", lambda s: _cell(s["offset_mm"], ".1f")),
@@ -141,19 +145,21 @@ def _faults(faults: dict[tuple[str, str, str], dict[str, Any]]) -> list[str]:
         "Each strikes once, at a random distance from the board. *Contact*: touched and back all "
         "the same. *Retreat*: back without, *to* at least so far from the board. *Stands*: given "
         "back nearer than half the stand-off distance, clear of the board. *On the board*: given "
-        "back while it touches. *None*: it never began an approach.",
+        "back while it touches. *False*: back from a contact that was none. *None*: it never began "
+        "an approach.",
         "",
-        "| world | fault | flights | contact | retreat | to [m] | stands | on the board | none "
-        "| touched anything else | push outside the mouth | deepest [mm] "
+        "| world | fault | flights | contact | retreat | to [m] | stands | on the board | false "
+        "| none | touched anything else | push outside the mouth | deepest [mm] "
         "| force [N], p50 / p95 / max |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |",
+        "| --- | --- |" + " ---: |" * 11 + " --- |",
     ]
     for (world, fault, _), s in faults.items():
         force = _cell(s["peak_force_n"], ".2f")
         back = "-" if s["back_to_m"] is None else f"{s['back_to_m']:.2f}"
         lines.append(
             f"| {world} | {fault.replace('_', ' ')} | {s['flights']} | {s['contact']} | "
-            f"{s['retreat']} | {back} | {s['stands']} | {s['touches']} | {s['no_approach']} | "
+            f"{s['retreat']} | {back} | {s['stands']} | {s['touches']} | {s['false_contact']} | "
+            f"{s['no_approach']} | "
             f"{s['collided']} | {s['outside']} | {s['outside_mm']:.1f} | {force} |"
         )
     return [*lines, ""]
@@ -170,12 +176,15 @@ def _ablations(groups: dict[tuple[str, str, str], dict[str, Any]]) -> list[str]:
     lines = [
         "## Without a part of the contract",
         "",
-        "The same flights without a part. *Age* is that of the newest measurement at the touch.",
+        "The same flights without a part. *Touched*: however it ended; offset and age are of "
+        "these. *Contact*: touched, kept it, and back. *Age* is that of the newest measurement at "
+        "the touch.",
         "",
-        "| world | fault | without | flights | contact | within 2 cm | offset [mm], p50 / p95 / "
-        "max | age [ms], p50 / p95 / max | push outside the mouth | deepest [mm] "
+        "| world | fault | without | flights | touched | contact | within 2 cm "
+        "| offset [mm], p50 / p95 / max | age [ms], p50 / p95 / max "
+        "| push outside the mouth | deepest [mm] "
         "| touched anything else |",
-        "| --- | --- | --- | ---: | --- | --- | --- | --- | ---: | ---: | ---: |",
+        "| --- | --- | --- | ---: | ---: | --- | --- | --- | --- | ---: | ---: | ---: |",
     ]
     lacking = {key[:2] for key in groups if key[2] != NONE}
     # What is compared stands together: by world and fault, and first what lacks nothing
@@ -183,7 +192,7 @@ def _ablations(groups: dict[tuple[str, str, str], dict[str, Any]]) -> list[str]:
         s, (world, fault, ablation) = groups[key], key
         lines.append(
             f"| {world} | {fault.replace('_', ' ')} | {titles.get(ablation, ablation)} | "
-            f"{s['flights']} | {_share(s['contact'], s['flights'])} | "
+            f"{s['flights']} | {s['touched']} | {_share(s['contact'], s['flights'])} | "
             f"{_share(s['within_2cm'], s['flights'])} | {_cell(s['offset_mm'], '.1f')} | "
             f"{_cell(s['touch_age_ms'], '.0f')} | {s['outside']} | {s['outside_mm']:.1f} | "
             f"{s['collided']} |"

@@ -42,7 +42,8 @@ class FlightRow:
     phase: str
     reason: str
     ends: str
-    """contact: touched and back. retreat: back, without. stands: given back clear of the board.
+    """contact: touched and back. false_contact: the client believes so, and nothing touched.
+    retreat: back, without. stands: given back clear of the board.
     touches: given back on it. no_approach: it never began one. failed: it was not flown."""
     attempts: int
     struck_m: float | None
@@ -94,7 +95,7 @@ def flight_row(flight: Flight, flown: Flown, striker: Striker | None, wall_s: fl
     o = flown.outcome
     left, up = (None, None) if o.touch_target_m is None else o.touch_target_m
     if flown.phase is Phase.DONE:
-        ends = "contact"
+        ends = "contact" if o.touched else "false_contact"
     elif flown.attempts == 0:
         ends = "no_approach"
     elif o.end_m >= AWAY_M:
@@ -198,8 +199,12 @@ def from_cells(cells: dict[str, str]) -> FlightRow:
             if text not in ("True", "False"):
                 raise ValueError(f"{field.name} = {text[:40]!r} is neither True nor False")
             values[field.name] = text == "True"
-        elif text == "":
+        elif text == "" and kind.endswith("None"):
             values[field.name] = None
         else:
             values[field.name] = int(text) if kind == "int" else float(text)
-    return FlightRow(**values)
+    row = FlightRow(**values)
+    numbers = (value for value in values.values() if isinstance(value, float))
+    if not (row.error or all(map(math.isfinite, numbers))):
+        raise ValueError("a number of a flight that was flown is not finite")
+    return row

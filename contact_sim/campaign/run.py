@@ -108,7 +108,10 @@ def _filtered(settings: LockstepSettings, limits: FilterSettings) -> LockstepSet
 
 
 def fly_job(job: Job) -> FlightRow:
-    """Fly one; what goes wrong is a row with its error, so that the others go on."""
+    """Fly one; what goes wrong is a row with its error, so that the others go on.
+
+    Also what nobody thought of: a night of flights does not end with one of them.
+    """
     began = time.monotonic()
     eyes: ServiceEyes | None = None
     try:
@@ -131,6 +134,9 @@ def fly_job(job: Job) -> FlightRow:
         return flight_row(job.flight, flown, striker, wall_s)
     except SimulatorError as error:
         return failed_row(job.flight, str(error), time.monotonic() - began)
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}"
+        return failed_row(job.flight, why, time.monotonic() - began)
     finally:
         if eyes is not None:
             eyes.close()

@@ -25,7 +25,7 @@ from drone_client.airframe import Airframe
 from drone_client.encoding_choice import ChosenEncoding
 from drone_client.mission import Phase
 from drone_client.records import decision_record, reception_record
-from drone_client.settings import load_settings
+from drone_client.settings import default_settings
 from drone_client.viewing.facts import facts_of
 from drone_client.viewing.moments import (
     Level,
@@ -104,7 +104,7 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     with TemporaryDirectory(prefix="film-") as folder:
         recorder = Recorder(bench.service, Path(folder))
         run = fly("film", scene, SEED, LINK, recorder, settings, recorder.before_tick)
-        facts = facts_of(load_settings(), Airframe(), run.funnel, d455())
+        facts = facts_of(default_settings(), Airframe(), run.funnel, d455())
         reel = Reel(facts, recorder.all(run))
         times_ns = reel.times_ns(RATE_HZ)
         shown_s = (run.began(Phase.APPROACH) or 0.0) + SHOWN_S

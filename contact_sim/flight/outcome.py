@@ -85,7 +85,10 @@ class Outcome:
 
 
 class Witness:
-    """Looks 50 times a second, and at every turn in which something touches; keeps what matters."""
+    """Looks 50 times a second, and at every turn in which something touches; keeps what matters.
+
+    What touched between two looks counts, also where it is off again at the second.
+    """
 
     def __init__(self, world_from_target: Pose) -> None:
         self.rows: list[Row] = []
@@ -99,11 +102,16 @@ class Witness:
         """When it was last seen to stand where it starts; None: it has risen."""
         self._nearest_m = math.inf
         self._touching_turns = 0
+        self._looked_ns = 0
+        self._last: Row | None = None
+        """Also when the track is full."""
 
     def look(self, simulation: Simulation) -> None:
         """Take the moment, if it is one: a free flight looks the same for 20 ms."""
-        due = not self.rows or simulation.t_ns - self.rows[-1].t_ns >= TRACK_NS
-        if not (due or simulation.contacts.touches):
+        due = self._last is None or simulation.t_ns - self._last.t_ns >= TRACK_NS
+        met = simulation.contacts.since(self._looked_ns)
+        self._looked_ns = simulation.t_ns
+        if not (due or met):
             return
         truth = simulation.truth
         target_from_body = self._target_from_world @ truth.world_from_body
@@ -113,49 +121,46 @@ class Witness:
         x, y, z = moved(vec3(tip_target), vec3(forward), truth.arm_m)
         self._nearest_m = min(self._nearest_m, x)
         beside_m = math.hypot(float(tip_target[1]), float(tip_target[2]))
-        if truth.tip_force_n > 0.0 and beside_m > MOUTH_M:
+        if beside_m > MOUTH_M and any(part == TIP for part, _ in met):
             self._outside_m = max(self._outside_m, truth.arm_m)
-        flies = not self._stands(simulation)
-        for touch in truth.touches if flies else ():
-            if touch.part == TIP and touch.other == BOARD:
-                continue
-            self._collisions.setdefault(f"{touch.part} on {touch.other}")
+        flies = not self._stands(simulation.t_ns, touches=bool(met))
+        for part, other in met if flies else ():
+            if (part, other) != (TIP, BOARD):
+                self._collisions.setdefault(f"{part} on {other}")
+        if self._touch is None and (TIP, BOARD) in met:
+            self._touch, self._touched_ns = tip_target, simulation.t_ns
         if truth.tip_force_n > 0.0:
-            if self._touch is None and any(t.other == BOARD for t in truth.touches):
-                self._touch, self._touched_ns = tip_target, simulation.t_ns
             self._forces.append(truth.tip_force_n)
             self._touching_turns += 1
         if due:
             self._add_row(simulation, (x, y, z), vec3(forward))
 
-    def _stands(self, simulation: Simulation) -> bool:
+    def _stands(self, t_ns: int, *, touches: bool) -> bool:
         """Whether the drone has not risen yet from where it was put."""
         if self._stands_ns is None:
             return False
-        if simulation.truth.touches:
-            self._stands_ns = simulation.t_ns
-        elif simulation.t_ns - self._stands_ns >= RISEN_NS:
+        if touches:
+            self._stands_ns = t_ns
+        elif t_ns - self._stands_ns >= RISEN_NS:
             self._stands_ns = None
         return self._stands_ns is not None
 
     def _add_row(self, simulation: Simulation, tip_target: Vec3, forward_target: Vec3) -> None:
-        if len(self.rows) >= MAX_TRACK:
-            return
         truth = simulation.truth
         px, py, pz = truth.world_from_body.translation.tolist()
         vx, vy, vz = truth.velocity_world.tolist()
-        self.rows.append(
-            Row(
-                truth.t_ns,
-                tip_target,
-                (px, py, pz),
-                math.atan2(forward_target[1], -forward_target[0]),
-                (vx, vy, vz),
-                truth.arm_m,
-                truth.tip_force_n,
-                simulation.drift_m,
-            )
+        self._last = Row(
+            truth.t_ns,
+            tip_target,
+            (px, py, pz),
+            math.atan2(forward_target[1], -forward_target[0]),
+            (vx, vy, vz),
+            truth.arm_m,
+            truth.tip_force_n,
+            simulation.drift_m,
         )
+        if len(self.rows) < MAX_TRACK:
+            self.rows.append(self._last)
 
     def outcome(self, simulation: Simulation, turn_s: float) -> Outcome:
         """What it came to.
@@ -166,14 +171,13 @@ class Witness:
         """
         contacts = simulation.contacts
         touch = self._touch
-        impacts = [i.speed_mps for i in contacts.impacts if i.part == TIP and i.other == BOARD]
-        last = self.rows[-1] if self.rows else None
+        last = self._last
         return Outcome(
             touched=touch is not None,
             offset_m=None if touch is None else math.hypot(touch[1], touch[2]),
             touch_target_m=None if touch is None else (float(touch[1]), float(touch[2])),
             touched_ns=self._touched_ns,
-            closing_mps=max(impacts) if impacts else None,
+            closing_mps=contacts.fastest_mps.get((TIP, BOARD)),
             peak_force_n=contacts.worst_force_n.get(TIP, 0.0),
             press_force_n=float(np.median(self._forces)) if self._forces else None,
             pressed_s=self._touching_turns * turn_s,

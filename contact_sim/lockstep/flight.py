@@ -35,7 +35,7 @@ from drone_client.mission import MissionState, Order, Phase, Reason, Senses, Tra
 from drone_client.odometry.feed import OdometryFeed
 from drone_client.odometry.jump import Jump
 from drone_client.reception import Receiver, Reception
-from drone_client.settings import load_settings
+from drone_client.settings import default_settings
 from drone_client.source.frozen import FrozenWatch
 from link_emulator.profiles import Profile
 from rgbd_wire.camera import RgbdCamera
@@ -59,7 +59,7 @@ class LockstepSettings:
     """Everything but the world and the seed."""
 
     parts: FlightSettings = field(
-        default_factory=lambda: searching(flight_settings(load_settings()))
+        default_factory=lambda: searching(flight_settings(default_settings()))
     )
     simulation: SimulationSettings = field(
         default_factory=lambda: SimulationSettings(feeds_itself=False)

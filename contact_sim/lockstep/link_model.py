@@ -41,7 +41,7 @@ class Way:
         self._last_ns = 0
 
     def send(self, size_bytes: int, now_ns: int) -> Passage:
-        """Pass a message that is handed over now."""
+        """Pass a message that is handed over now; never earlier than the one before."""
         i = self._impairments
         jitter_ns = round(self._rng.uniform(0.0, 1.0) * i.jitter_ms * 1e6)
         lost = self._loses(size_bytes)

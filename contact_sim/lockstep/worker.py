@@ -66,6 +66,9 @@ class RemoteWorker:
         self._settings = settings or WorkerSettings()
         self._sequence = 0
         self._busy_until_ns = 0
+        self._leaving: list[tuple[int, int, int, bytes]] = []
+        """When each message leaves, its number, which keeps them in order, and its size: a result
+        that is worked on leaves after the acks of frames that come meanwhile."""
         self._arrivals: list[tuple[int, int, int, bytes]] = []
         """When each message arrives and left, and its number, which keeps them in order."""
 
@@ -107,6 +110,13 @@ class RemoteWorker:
 
     def deliver(self, now_ns: int) -> None:
         """Hand the client what has arrived by now."""
+        while self._leaving and self._leaving[0][0] <= now_ns:
+            left_ns, number, size_bytes, message = heapq.heappop(self._leaving)
+            down = self._link.down.send(size_bytes, left_ns)
+            if down.arrives_ns is None:
+                self.counts["answers_lost"] += 1
+            else:
+                heapq.heappush(self._arrivals, (down.arrives_ns, number, left_ns, message))
         while self._arrivals and self._arrivals[0][0] <= now_ns:
             t4_ns, _, left_ns, message = heapq.heappop(self._arrivals)
             was_killed = self.killed_ns is not None and left_ns > self.killed_ns
@@ -115,12 +125,8 @@ class RemoteWorker:
                 continue
             self._receiver.on_message(message, t4_ns)
 
-    def _pass_down(self, message: bytes, now_ns: int, size_bytes: int) -> None:
-        down = self._link.down.send(size_bytes, now_ns)
-        if down.arrives_ns is None:
-            self.counts["answers_lost"] += 1
-            return
-        heapq.heappush(self._arrivals, (down.arrives_ns, self._number(), now_ns, message))
+    def _pass_down(self, message: bytes, leaves_ns: int, size_bytes: int) -> None:
+        heapq.heappush(self._leaving, (leaves_ns, self._number(), size_bytes, message))
 
     def _number(self) -> int:
         self.counts["messages"] += 1

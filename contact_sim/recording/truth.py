@@ -31,6 +31,8 @@ class TruthWriter:
         self._left = MAX_LINES
         self._due_ns = 0
         self._force_n = 0.0
+        self._written_ns = 0
+        """Simulated time of the last line."""
 
     def begin(self) -> None:
         """Open the file; nothing is written before. A disk that takes it not is a ``problem``."""
@@ -56,8 +58,8 @@ class TruthWriter:
         if self._due_ns == 0:
             self._lines.put(WORLD_NAME, _world(simulation.scene))
         self._due_ns = now_ns + PERIOD_NS
-        self._lines.put(TRUTH_NAME, truth_line(simulation, now_ns, self._force_n))
-        self._force_n = 0.0
+        self._lines.put(TRUTH_NAME, truth_line(simulation, now_ns, self._force_n, self._written_ns))
+        self._force_n, self._written_ns = 0.0, simulation.t_ns
 
     def close(self) -> None:
         """Write what is left."""
@@ -74,13 +76,16 @@ def _world(scene: Scene) -> dict[str, Any]:
     return {"world": scene.name, "seed": scene.seed, "board": scene.facts.get("board")}
 
 
-def truth_line(simulation: Simulation, now_ns: int, force_n: float) -> dict[str, Any]:
+def truth_line(
+    simulation: Simulation, now_ns: int, force_n: float, since_ns: int = 0
+) -> dict[str, Any]:
     """A line of ``truth.jsonl``.
 
     Args:
         simulation: between two steps.
         now_ns: drone's clock.
         force_n: of the tip, the worst since the line before.
+        since_ns: simulated time of the line before: what touched after it is in this one.
     """
     truth, snapshot = simulation.truth, simulation.snapshot()
     return {
@@ -92,7 +97,7 @@ def truth_line(simulation: Simulation, now_ns: int, force_n: float) -> dict[str,
         "tip_force_n": round(force_n, 4),
         "arm_m": round(truth.arm_m, 6),
         "drift_m": round(simulation.drift_m, 5),
-        "touches": [f"{touch.part} on {touch.other}" for touch in truth.touches],
+        "touches": [f"{part} on {other}" for part, other in simulation.contacts.since(since_ns)],
         "lamps_out": sorted(snapshot.lamps_out),
         "qpos": snapshot.qpos.tolist(),
     }

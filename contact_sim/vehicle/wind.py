@@ -24,6 +24,8 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "drag_square_ns2pm2": (0.0, 1.0),
 }
 MAX_WIND_MPS = 20.0
+ROUNDING = 1e-9
+"""A gust of the largest speed in any direction has that speed, or a last digit more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +90,10 @@ class Wind:
         Raises:
             VehicleError: it is stronger than what the model is good for, or takes no time.
         """
-        if not math.hypot(*velocity_world) <= MAX_WIND_MPS or not 0.0 < seconds < math.inf:
+        if (
+            not math.hypot(*velocity_world) <= MAX_WIND_MPS * (1.0 + ROUNDING)
+            or not 0.0 < seconds < math.inf
+        ):
             raise VehicleError(
                 f"a gust has at most {MAX_WIND_MPS:g} m/s and takes some time, not "
                 f"{velocity_world} m/s for {seconds} s"

@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from drone_client.errors import ClientError
-from drone_client.settings import ClientSettings, about, known_name, load_settings
+from drone_client.settings import ClientSettings, about, default_settings, known_name, load_settings
 from rgbd_wire.streams import FRAME, RESULT
 
 
@@ -31,6 +31,15 @@ def test_a_flag_wins_over_the_environment_and_that_over_the_default(monkeypatch)
     monkeypatch.setenv("DRONE_NAME", "from-env")
     settings = load_settings(window=4, name=None, jpeg_quality=None)
     assert (settings.window, settings.name, settings.jpeg_quality) == (4, "from-env", 80)
+
+
+def test_the_default_settings_know_no_environment(monkeypatch):
+    """They are what an empty one gives, each value checked as if it had been given."""
+    usual = load_settings()
+    monkeypatch.setenv("DRONE_TAU_MAX_MS", "40")
+    monkeypatch.setenv("DRONE_NO_SUCH", "1")
+    assert default_settings() == usual
+    assert default_settings().gate == usual.gate
 
 
 def test_settings_are_frozen():

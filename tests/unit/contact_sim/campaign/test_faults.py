@@ -157,3 +157,11 @@ def test_the_example_is_one() -> None:
     """What docs/simulator.md names can be flown."""
     kinds = [fault.kind for fault in load_faults(EXAMPLE)]
     assert kinds == [Kind.BLACK_HOLE, Kind.LINK_SLOW, Kind.GUST]
+
+
+def test_a_number_of_400_digits_is_refused_in_a_line(tmp_path: Path) -> None:
+    """TOML has integers of any length."""
+    path = tmp_path / "f.toml"
+    path.write_text(f'[[fault]]\nkind = "gust"\nsize = {"9" * 400}\n')
+    with pytest.raises(CampaignError, match="f.toml: "):
+        load_faults(path)

@@ -12,11 +12,17 @@ from typer.testing import CliRunner
 
 from contact_sim.campaign.faults import Fault, Kind
 from contact_sim.campaign.report import page, summary, wilson
-from contact_sim.campaign.row import NAMES, FlightRow, as_cells, from_cells
+from contact_sim.campaign.row import NAMES, FlightRow, as_cells, failed_row, flight_row, from_cells
 from contact_sim.campaign.run import Job, Table, ablated, fly_campaign, fly_job, plan, read_table
+from contact_sim.chance import stream
 from contact_sim.commands import app
 from contact_sim.errors import CampaignError, ServiceError, SimulatorError
-from contact_sim.lockstep.flight import LockstepSettings
+from contact_sim.lockstep.eyes import ModelEyes
+from contact_sim.lockstep.flight import LockstepFlight, LockstepSettings
+from contact_sim.scene import build_scene
+from contact_sim.sensing import d455
+from drone_client.mission import Phase
+from link_emulator.profiles import PROFILES
 
 ROW = FlightRow(
     world="tunnel",
@@ -98,6 +104,13 @@ def test_a_table_that_is_none_or_cannot_be_written_is_named(tmp_path: Path) -> N
     cells = {k: str(v) for k, v in as_cells(ROW).items()}
     with pytest.raises(ValueError, match="touched = 'maybe' is neither"):
         from_cells(cells | {"touched": "maybe"})
+    for name, text in (("peak_force_n", ""), ("seed", ""), ("seed", "1.5"), ("end_m", "x")):
+        with pytest.raises(ValueError, match="could not convert|invalid literal"):
+            from_cells(cells | {name: text})
+    with pytest.raises(ValueError, match="not finite"):
+        from_cells(cells | {"outside_m": "nan"})
+    failed = failed_row(ROW.flight, "no reason", 1.0)
+    assert from_cells({k: str(v) for k, v in as_cells(failed).items()}).error == "no reason"
 
 
 def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
@@ -138,6 +151,52 @@ def test_a_flight_that_cannot_be_flown_is_a_row_with_its_reason() -> None:
     row = fly_job(Job("moon", 0, "clean", "wifi"))
     assert "no world 'moon'" in row.error
     assert (row.ends, row.safe) == ("failed", False)
+
+
+def test_what_nobody_thought_of_is_a_row_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The others go on, and its kind is told."""
+    monkeypatch.setattr("contact_sim.campaign.run.build_scene", lambda *_: 1 // 0)
+    row = fly_job(Job("tunnel", 0, "clean", "wifi"))
+    assert row.error == "ZeroDivisionError: integer division or modulo by zero"
+
+
+def test_an_environment_of_a_drone_changes_no_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine that is set up for a real drone flies the same, and none of it ends a campaign."""
+    usual = LockstepSettings().parts
+    for name, value in (("TAU_MAX_MS", "40"), ("CONTROL_HZ", "100"), ("NONSENSE", "1")):
+        monkeypatch.setenv(f"DRONE_{name}", value)
+    parts = LockstepSettings().parts
+    same_boot = replace(parts.uplink, boot_id=usual.uplink.boot_id)
+    assert replace(parts, uplink=same_boot) == usual
+
+
+def test_a_touch_counts_however_the_flight_ended() -> None:
+    """Where it touched is told of a flight that was broken off, too; contact it is not."""
+    broken_off = replace(ROW, seed=4, ends="retreat", phase="abort", offset_m=0.044)
+    untouched = replace(ROW, seed=5, ends="retreat", touched=False, offset_m=None, touch_age_s=None)
+    of = summary([ROW, broken_off, untouched])
+    assert (of["flights"], of["touched"], of["contact"], of["within_2cm"]) == (3, 2, 1, 1)
+    assert of["offset_mm"]["max"] == pytest.approx(44.0)
+    assert of["false_contact"] == 0
+    words = page([replace(ROW, ablation="no_funnel"), broken_off, ROW], "it", "")
+    assert "| nothing | 2 | 2 | 50 % [9, 91] | 50 % [9, 91] | 24.0 / 42.0 / 44.0 |" in words
+
+
+def test_a_contact_that_was_none_is_told() -> None:
+    """The client says done, the witness saw nothing."""
+    world = build_scene("tunnel", 3)
+    rig = d455()
+    flight = LockstepFlight(
+        world, 3, PROFILES["lan"], lambda s: ModelEyes(rig.color, stream(3, "eyes")), rig
+    )
+    flight.tick()
+    flown = flight.flown()
+    assert not flown.outcome.touched
+    row = flight_row(ROW.flight, replace(flown, phase=Phase.DONE), None, 1.0)
+    assert (row.ends, row.touched) == ("false_contact", False)
+    of = summary([row])
+    assert (of["contact"], of["false_contact"]) == (0, 1)
+    assert "took for contact what was none | 0 | 1 |" in page([row], "it", "")
 
 
 def test_when_nothing_can_be_flown_it_ends_early(tmp_path: Path) -> None:
@@ -211,7 +270,7 @@ def test_what_is_compared_stands_together() -> None:
         ("none", "nothing"),
         ("none", "the funnel"),
     ]
-    assert cells[1][7:10] == ["310 / 310 / 310", "1", "4.0"]
+    assert cells[1][8:11] == ["310 / 310 / 310", "1", "4.0"]
 
 
 def test_the_command_flies_and_tells(tmp_path: Path) -> None:

@@ -97,3 +97,44 @@ def test_the_ground_that_it_rises_from_is_no_collision_and_the_one_it_falls_on_i
     sim.set_velocity((0.0, 0.0, -0.5), 0.0)
     watched(sim, 3.0, witness)
     assert any(c.endswith(" on floor") for c in witness.outcome(sim, TURN_S).collisions)
+
+
+def test_a_touch_between_two_looks_is_seen() -> None:
+    """Down to the floor and up again while nobody looks: nothing touches now, and it counts."""
+    sim, witness = simulation(start=(1.0, 0.0, HEIGHT_M)), Witness(WORLD_FROM_TARGET)
+    watched(sim, 0.5, witness)
+    sim.set_velocity((0.0, 0.0, -0.5), 0.0)
+    while not sim.contacts.touches:
+        sim.step(1)
+    (part, other) = sim.contacts.touches[0][:2]
+    sim.set_velocity((0.0, 0.0, 0.5), 0.0)
+    sim.step(500)
+    assert not sim.truth.touches
+    witness.look(sim)
+    collisions = witness.outcome(sim, TURN_S).collisions
+    assert f"{part} on {other}" in collisions
+    assert other == "floor"
+    watched(sim, 0.5, witness)
+    assert witness.outcome(sim, TURN_S).collisions == collisions
+
+
+def test_the_end_is_told_when_the_track_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And so is the fastest touch when no impact is kept any more."""
+    monkeypatch.setattr("contact_sim.flight.outcome.MAX_TRACK", 3)
+    monkeypatch.setattr("contact_sim.contacts.KEPT_IMPACTS", 0)
+    sim = simulation(start=(BOARD_X_M - REACH_M - 0.1, 0.0, HEIGHT_M))
+    sim.set_velocity((0.08, 0.0, 0.0), 0.0)
+    witness = watched(sim, 4.0)
+    outcome = witness.outcome(sim, TURN_S)
+    assert (len(witness.rows), sim.contacts.impacts) == (3, [])
+    assert outcome.end_m < 0.05 < witness.rows[-1].tip_target[0]
+    assert outcome.closing_mps == pytest.approx(0.08, abs=0.04)
+
+
+def test_the_body_on_the_board_is_no_touch_of_the_tip() -> None:
+    """Sideways into the board with a propeller: nothing is said of where the tip touched."""
+    sim = simulation(start=(BOARD_X_M - 0.55, 0.0, HEIGHT_M), turned_rad=math.pi / 2)
+    sim.set_velocity((0.3, 0.0, 0.0), 0.0)
+    outcome = watched(sim, 2.0).outcome(sim, TURN_S)
+    assert not outcome.touched
+    assert outcome.offset_m is None

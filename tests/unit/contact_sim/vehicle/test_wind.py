@@ -10,7 +10,7 @@ from scipy.signal import welch
 
 from contact_sim.chance import stream
 from contact_sim.errors import VehicleError
-from contact_sim.vehicle.wind import Wind, WindSettings
+from contact_sim.vehicle.wind import MAX_WIND_MPS, Wind, WindSettings
 
 DT_S = 0.02
 MEAN = (3.0, 4.0, 0.0)
@@ -88,3 +88,14 @@ def test_bad_winds_are_refused():
     for velocity, seconds in (((50.0, 0.0, 0.0), 1.0), ((1.0, 0.0, 0.0), 0.0)):
         with pytest.raises(VehicleError, match="a gust has at most"):
             wind.gust(velocity, seconds)
+
+
+def test_the_strongest_gust_blows_from_anywhere():
+    """20 m/s scaled to any direction may have a last digit more, which refuses no flight."""
+    wind, longest = Wind(WindSettings(), stream(0, "wind")), 0.0
+    for x, y, z in stream(0, "directions").standard_normal((500, 3)).tolist():
+        scale = MAX_WIND_MPS / math.hypot(x, y, z)
+        velocity = scale * x, scale * y, scale * z
+        longest = max(longest, math.hypot(*velocity))
+        wind.gust(velocity, 1.0)
+    assert longest > MAX_WIND_MPS
