@@ -16,10 +16,14 @@ from typing import Final, Self
 from contact_sim.errors import ServiceError
 
 READY_S: Final = 120.0
+READY_ANSWER_S: Final = 1.0
 END_S: Final = 20.0
 """Time for the service to end when it is told to; then it is killed."""
 KILLED_S: Final = 10.0
 LOG_LINES: Final = 12
+
+_DIRECT: Final = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+"""A proxy of the environment is no way to the loopback of this machine."""
 
 
 class ServiceProcess:
@@ -92,10 +96,7 @@ class ServiceProcess:
         while time.monotonic() < give_up:
             if self._process.poll() is not None:
                 raise ServiceError(f"the service ended before it was ready:\n{self._last_lines()}")
-            with (
-                contextlib.suppress(OSError),
-                urllib.request.urlopen(f"http://{self.http}/readyz", timeout=1),
-            ):
+            if answers_ready(self.http):
                 return
             time.sleep(0.1)
         raise ServiceError(f"the service was not ready within {READY_S:g} s:\n{self._last_lines()}")
@@ -105,6 +106,16 @@ class ServiceProcess:
             lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
             return "\n".join(lines[-LOG_LINES:])
         return f"(no log at {self.log})"
+
+
+def answers_ready(http: str) -> bool:
+    """Whether a service at this host and port of loopback says that it serves."""
+    with (
+        contextlib.suppress(OSError),
+        _DIRECT.open(f"http://{http}/readyz", timeout=READY_ANSWER_S),
+    ):
+        return True
+    return False
 
 
 def free_port() -> int:

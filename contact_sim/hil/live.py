@@ -13,6 +13,12 @@ from rgbd_wire.clock import Clock
 LATE_NS: Final = 3_000_000_000
 """Up to so much is made up for. The autopilot's clock is the simulated one: each slip of it would
 have to be noticed by whoever keeps the two clocks together, and until then no stamp is right."""
+ASIDE_NS: Final = 500_000_000
+"""Between two times that something else is seen to."""
+
+
+def _nothing() -> None:
+    """Nothing else is to be seen to."""
 
 
 class HilLive(LiveSimulation):
@@ -30,6 +36,7 @@ class HilLive(LiveSimulation):
         flight: HilFlight,
         clock: Clock,
         on_turn: Callable[[Simulation, int], None] = lambda simulation, now_ns: None,
+        aside: Callable[[], None] = _nothing,
     ) -> None:
         """Take a flight over, at its beginning.
 
@@ -37,14 +44,21 @@ class HilLive(LiveSimulation):
             flight: nobody else turns it.
             clock: the drone's.
             on_turn: called after every turn, with the lock held.
+            aside: called before the first turn, and at most every ``ASIDE_NS`` again, without the
+                lock; it neither waits nor raises.
         """
         super().__init__(flight.simulation, clock, on_turn)
         self._flight = flight
+        self._aside = aside
+        self._aside_due_ns = clock.now_ns()
 
     def _turn(self) -> None:
         flight = self._flight
         with self._lock:
             question = flight.question()
+        if (now_ns := self._clock.now_ns()) >= self._aside_due_ns:
+            self._aside_due_ns = now_ns + ASIDE_NS
+            self._aside()
         controls = flight.exchange(question)
         with self._lock:
             at_ns = flight.simulation.t_ns + self._offset_ns

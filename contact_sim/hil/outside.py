@@ -7,7 +7,7 @@ real drone, for commands and state. VIO and height reach it through the client, 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Final
 
 from contact_sim.flight.live import LiveSimulation
@@ -52,6 +52,7 @@ class Outside:
             self._stack = undo.pop_all()
         self.address = self._door.address
         self._flight: HilFlight | None = None
+        self._turned_away = 0
 
     def live(
         self,
@@ -62,6 +63,8 @@ class Outside:
         on_turn: Callable[[Simulation, int], None],
     ) -> LiveSimulation:
         """Wait until PX4 has connected, however long it takes; time is let pass by ``start``.
+
+        While it flies, whoever else connects is turned away.
 
         Args:
             scene: the drone is put on the ground of it.
@@ -81,13 +84,19 @@ class Outside:
         exchange = Lockstep(line, Patience(), self._clock)
         flight = HilFlight(simulation, exchange, seed, HilSettings(vio=False))
         self._flight = flight
-        live = HilLive(flight, self._clock, on_turn)
+        live = HilLive(flight, self._clock, on_turn, self._turn_away)
         self._stack.callback(live.stop)
         return live
 
     def counts(self) -> dict[str, int]:
-        """Of questions and answers, and what was wrong with them; empty: nobody has connected."""
-        return {} if self._flight is None else self._flight.counts()
+        """Of questions and answers, and what was wrong with them; empty: nobody has connected.
+
+        Also ``turned_away``, if there were any: who connected beside the one that flies.
+        """
+        if self._flight is None:
+            return {}
+        strangers = {"turned_away": self._turned_away} if self._turned_away else {}
+        return self._flight.counts() | strangers
 
     def close(self) -> None:
         """Give the vehicle back while it still flies, then let the world stand still."""
@@ -95,3 +104,8 @@ class Outside:
             self.vehicle.close()
         finally:
             self._stack.close()
+
+    def _turn_away(self) -> None:
+        # the door may just have been closed; what is wrong with a stranger is not the flight's
+        with suppress(OSError, ValueError):
+            self._turned_away += self._door.turn_away()

@@ -42,7 +42,7 @@ ROD_FROM_M = 0.14
 TIP_FRICTION = (0.6, 0.005, 1e-4)
 """Rubber on a painted board: sliding, turning [m], rolling [m]."""
 LIDAR_DROP_M = 0.04
-"""So far below the arm the forward lidar looks along it."""
+"""So far below the middle of the body its lidars are; the default airframe's arm is above them."""
 
 # The drone touches the world and not itself: its geoms collide with what has contype 1.
 _DRONE_BIT, _WORLD_BIT = 2, 1

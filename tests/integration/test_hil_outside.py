@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -220,6 +221,52 @@ def test_a_px4_without_a_world_is_a_mistake() -> None:
     )
     assert ended.returncode == 2
     assert "which one? --sim says it" in ended.stderr
+
+
+def closed_within(stranger: socket.socket, seconds: float) -> bool:
+    stranger.settimeout(seconds)
+    try:
+        return stranger.recv(1) == b""
+    except ConnectionResetError:
+        return True
+    except TimeoutError:
+        return False
+
+
+def test_a_second_px4_is_turned_away_and_counted() -> None:
+    """Not left in the kernel's queue, in which it would hang; the first one's line stays open."""
+    outside = Outside("127.0.0.1", 0, f"udp/127.0.0.1:{free_udp_port()}", MonotonicClock())
+    with closing(outside), socket.create_connection(outside.address) as first:
+        # who is in the queue already when the flight begins
+        with socket.create_connection(outside.address) as early:
+            assert outside.counts() == {}
+            live = outside.live(plain_scene(), AIRFRAME, RIG, 3, lambda *_: None)
+            assert "turned_away" not in outside.counts()
+            live.start()
+            assert closed_within(early, GIVE_UP_S)
+        first.settimeout(GIVE_UP_S)
+        assert first.recv(16), "it is asked"
+        with socket.create_connection(outside.address) as late:
+            assert closed_within(late, GIVE_UP_S)
+        end = time.monotonic() + GIVE_UP_S
+        while outside.counts().get("turned_away", 0) < 2:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        assert outside.counts()["turned_away"] == 2
+        assert live.error is None
+
+
+def test_a_door_that_is_closed_ends_no_flight() -> None:
+    """Nobody is turned away there, and the world goes on."""
+    outside = Outside("127.0.0.1", 0, f"udp/127.0.0.1:{free_udp_port()}", MonotonicClock())
+    with closing(outside), socket.create_connection(outside.address):
+        turned = threading.Event()
+        live = outside.live(plain_scene(), AIRFRAME, RIG, 3, lambda *_: turned.set())
+        outside._door.close()
+        live.start()
+        assert turned.wait(GIVE_UP_S)
+        assert live.error is None
+        assert "turned_away" not in outside.counts()
 
 
 def test_what_cannot_be_opened_leaves_nothing_open() -> None:

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mav
 from contact_sim.errors import PeerGoneError
 from contact_sim.flight.odometry import SimulatedOdometry
 from contact_sim.hil.flight import HilFlight, HilSettings
-from contact_sim.hil.live import HilLive
+from contact_sim.hil.live import ASIDE_NS, HilLive
 from contact_sim.hil.lockstep import Lockstep, Patience
 from contact_sim.scene.drone import MASS_KG
 from contact_sim.simulation import Simulation, SimulationSettings
@@ -50,12 +50,14 @@ class Stage:
         self.clock, self.line = ManualClock(10**12), Held()
         self.seen: list[tuple[int, int]] = []
         self.turned = threading.Condition()
+        self.aside = 0
         sim = simulation(settings=SimulationSettings(rotors_from_outside=True))
         lockstep = Lockstep(self.line, Patience(), self.clock)
         self.live = HilLive(
             HilFlight(sim, lockstep, 0, HilSettings(vio=False)),
             self.clock,
             self._on_turn,
+            self._on_aside,
         )
         self.live.start()
 
@@ -63,6 +65,16 @@ class Stage:
         with self.turned:
             self.seen.append((sim.t_ns, now_ns))
             self.turned.notify_all()
+
+    def _on_aside(self) -> None:
+        # whoever looks into the simulation does not wait for this either
+        with self.live.look():
+            self.aside += 1
+
+    def until(self, at_ms: int) -> None:
+        with self.turned:
+            at = at_ms * MS
+            assert self.turned.wait_for(lambda: self.seen and self.seen[-1][0] >= at, 30.0)
 
     def end(self) -> None:
         self.line.gone = True
@@ -101,6 +113,20 @@ def test_a_pause_is_made_up_for(stage: Stage) -> None:
         assert stage.turned.wait_for(lambda: stage.seen and stage.seen[-1][0] >= 996 * MS, 30.0)
     assert stage.live.slipped_ns == 0
     assert stage.seen[-1][1] <= stage.clock.now_ns()
+
+
+def test_what_is_done_beside_is_done_every_half_a_second(stage: Stage) -> None:
+    """At the first turn, and then by the clock of the machine, however many turns lie between."""
+    stage.line.may_answer.release(10_000)
+    stage.clock.advance(100 * MS)
+    stage.until(96)
+    assert stage.aside == 1
+    stage.clock.advance(ASIDE_NS - MS)
+    stage.until(596)
+    assert stage.aside == 1
+    stage.clock.advance(9 * MS)
+    stage.until(604)
+    assert stage.aside == 2
 
 
 def test_who_goes_is_an_error_that_is_kept(stage: Stage) -> None:
