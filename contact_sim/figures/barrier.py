@@ -9,7 +9,7 @@ import numpy as np
 from contact_sim.figures.bench import FigureBench
 from contact_sim.figures.run import Run
 from contact_sim.figures.style import RUNS, finish, legend, mark_phases, new_figure
-from drone_client.cbf import Funnel
+from drone_client.cbf import FilterSettings
 from drone_client.mission import Phase, Reason
 
 AROUND_S: Final = (-5.0, 4.0)
@@ -82,14 +82,26 @@ def least_certain(run: Run) -> tuple[float | None, float | None]:
     return found[0], found[1]
 
 
+def ball_mm(run: Run) -> list[float]:
+    """Radius of the error ball from the approach on, wherever h was not certainly above zero."""
+    start_s = run.began(Phase.APPROACH)
+    safe = [
+        tick.decision.safe
+        for tick in run.flown.ticks
+        if start_s is not None and tick.t_ns / 1e9 >= start_s
+    ]
+    return [1e3 * s.delta_m for s in safe if s is not None and s.h_robust < 0.0]
+
+
 def _of_certain(runs: tuple[Run, Run]) -> str:
     """Where it was not certain to be inside, and what comes of that; empty where it was."""
     words = []
     for run in runs:
+        contact = run.began(Phase.CONTACT) is not None
         parts = [
-            f"{1e3 * h:.0f} mm {when}"
+            f"{1e3 * h:.0f} mm {when if contact else 'without contact'}"
             for h, when in zip(
-                least_certain(run), ("before the retreat", "in the retreat"), strict=True
+                least_certain(run), ("before contact ends", "after contact"), strict=True
             )
             if h is not None and h < 0.0
         ]
@@ -97,13 +109,16 @@ def _of_certain(runs: tuple[Run, Run]) -> str:
             words.append(f"to {' and '.join(parts)} in {run.label}")
     if not words:
         return ""
+    balls = [mm for run in runs for mm in ball_mm(run)]
+    mouth_mm = 1e3 * runs[0].funnel.r_c_m
     return (
-        f" It falls below zero, {'; '.join(words)}: in the mouth, {1e3 * Funnel().r_c_m:.0f} mm to "
-        "each side, the ball of 15 to 20 mm leaves the tip a few millimetres (docs/cbf.md, section "
-        "3), and it swings by more. That is allowed, for the ball is how far off the tip could be "
-        "and not how far it is: below zero the filter lets h only grow, takes speed off the way "
-        "in, all of it at 50 mm below, and wants to back off from there on (section 7), which is "
-        "what a retreat does. What counts is the true h."
+        f" It falls below zero, {'; '.join(words)}: in the mouth, {mouth_mm:.0f} mm to each side, "
+        f"the ball, there of {min(balls):.1f} to {max(balls):.1f} mm, leaves the tip "
+        f"{max(mouth_mm - max(balls), 0.0):.0f} mm (docs/cbf.md, section 3), and it swings by "
+        "more. That is allowed, for the ball is how far off the tip could be and not how far it "
+        "is: below zero the filter lets h only grow, takes speed off the way in, all of it at "
+        f"{1e3 * FilterSettings().outside_m:.0f} mm below, and wants to back off from there on "
+        "(section 7), which is what a retreat does. What counts is the true h."
     )
 
 
@@ -112,24 +127,30 @@ def _of(run: Run) -> str:
     entered, low = entered_s(run), least(run)
     side = "outside" if run.h[0] < 0.0 else "inside"
     words = f"{run.label} starts {side}, at h = {run.h[0]:.2f} m"
-    if entered is None or low is None:
-        return f"{words}, and does not stay in the safe set"
-    if run.h[0] < 0.0:
-        words += f", and stays inside from {entered:.1f} s on"
+    if entered is None:
+        words += ", and does not stay in the safe set"
+    elif entered > run.t_s[0]:
+        end = "the end" if run.touch_s is None else "the touch"
+        words += f", and stays inside from {entered:.1f} s to {end}"
     words += _stops(run)
+    if low is None:
+        return words
     h_m, at_s = low
     phase = [phase for t_s, phase in run.phases if t_s <= at_s][-1]
     return f"{words}; from its approach on h is at least {1e3 * h_m:.0f} mm (in {phase.value})"
 
 
 def _stops(run: Run) -> str:
-    """How often it stood still on the way in for want of an answer, and which attempt it was."""
+    """How often it stood still for want of an answer, and which attempt touched."""
     stops = sum(t.reason is Reason.TARGET_OLD for t in run.flown.transitions)
     if not stops:
         return ""
     often = "once" if stops == 1 else f"{stops} times"
-    which = "" if run.flown.attempts == 1 else f" and touches at attempt {run.flown.attempts}"
-    return f", stops {often} on the way as the newest answer is too old{which}"
+    words = f", stops {often} as the newest answer is too old"
+    if run.flown.attempts == 1:
+        return words
+    n = run.touch_attempt
+    return f"{words} and touches at {'no attempt' if n is None else f'attempt {n}'}"
 
 
 def _caption(bench: FigureBench) -> str:

@@ -38,23 +38,32 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     finish(plane, "the same, over the offset", "offset from the axis [m]", "x [m]")
     legend(plane, loc="lower right")
     _near_the_mouth(mouth, bench.runs, funnel)
-    h_0 = [run.h[0] for run in bench.runs]
+    first, second = (_of(run) for run in bench.runs)
     caption = (
         f"The boundary h = 0 of the safe set (a = {funnel.a:g}) and the way of the tip from the "
-        f"start to the touch. Run 1 (tunnel, seed {bench.run_1.seed}) starts outside, at "
-        f"h = {h_0[0]:.2f} m, run 2 (refinery, seed {bench.run_2.seed}) inside, at "
-        f"h = {h_0[1]:.2f} m; both line up with the axis first and end in the mouth. The "
+        f"start until it goes back from contact: {first}; {second}. The "
         "kink at 1 m is the vehicle that pitches to gain speed: the tip is 55 cm ahead of it. "
         f"{_again(bench.runs)}Flown {bench.eyes_words}."
     )
     return figure, caption
 
 
+def _of(run: Run) -> str:
+    """Where one run starts, and where it touches."""
+    side = "outside" if run.h[0] < 0.0 else "inside"
+    words = f"{run.label}, seed {run.seed}, starts {side}, at h = {run.h[0]:.2f} m, and"
+    off_m = run.flown.outcome.offset_m
+    if off_m is None:
+        return f"{words} does not touch the board"
+    where = "in" if off_m <= run.funnel.r_c_m else "beside"
+    return f"{words} touches {1e3 * off_m:.1f} mm from the axis, {where} the mouth"
+
+
 def _again(runs: tuple[Run, Run]) -> str:
     """Which of them goes to the board more than once: its way is there twice, too."""
     words = [
-        f"{run.label.capitalize()} backs off on its way in and goes there again: it touches at "
-        f"attempt {run.flown.attempts}, and all attempts are drawn. "
+        f"{run.label.capitalize()} makes {run.flown.attempts} attempts, and touches at "
+        f"{'none' if (n := run.touch_attempt) is None else f'attempt {n}'}. "
         for run in runs
         if run.flown.attempts > 1
     ]

@@ -159,8 +159,9 @@ def _caption(samples: list[Sample]) -> str:
     words = f"Not found: {', '.join(missed)}. " if missed else ""
     worst = f" The worst place is off by {1e3 * max(errors):.1f} mm." if errors else ""
     return (
-        f"One sample of each condition, as the drone's camera gives it, through a real service: "
-        f"{len(errors)} of {len(samples)} found.{worst} {words}Drawn in: edge and circles of the "
-        f"target where the answer says it is, and its axes: {AXES_WORDS}. The errors count "
-        "the camera's own, whose lens is not quite what its calibration says."
+        f"One sample of each of {len(samples)} conditions, as the drone's camera gives it, "
+        f"through a real service: {len(errors)} of {len(samples)} found.{worst} {words}Drawn in: "
+        "edge and circles of the target where the answer says it is, and its axes: "
+        f"{AXES_WORDS}. The errors count the camera's own, whose lens is not quite what its "
+        "calibration says."
     )

@@ -52,7 +52,7 @@ def smooth(force_n: Array) -> Array:
 def breaks(run: Run) -> list[tuple[float, float]]:
     """From when to when the tip was off the board between the touch and the retreat [s].
 
-    Counted from the touch; what is shorter than the mean that is drawn does not count.
+    Counted from the touch; what is not longer than ``OFF_S`` does not count.
     """
     if run.touch_s is None:
         return []
@@ -65,19 +65,27 @@ def breaks(run: Run) -> list[tuple[float, float]]:
     return found
 
 
-def _of_breaks(runs: tuple[Run, Run]) -> str:
-    """Whether the tips came off again."""
-    words = []
-    for run in runs:
-        times = [f"from {a:.1f} to {b:.1f} s" for a, b in breaks(run)]
-        if times:
-            words.append(f"{run.label} {' and '.join(times)}")
-    if not words:
-        return "No tip comes off again before the retreat. "
-    return (
-        f"The tip bounces off after the touch ({'; '.join(words)}), and then stays on the board "
-        "until the retreat. "
-    )
+def _of_breaks(run: Run) -> str:
+    """Whether and when the tip came off again."""
+    if run.touch_s is None:
+        return f"{run.label} does not touch"
+    end = _end(run)
+    off = breaks(run)
+    if not off:
+        return f"{run.label} never until {end}"
+    last = [push for push in run.pushes if push.t_s < run.contact_end_s][-1]
+    comes_back = off[-1][1] < last.t_s - run.touch_s
+    times = [f"from {a:.1f} to {b:.1f} s" for a, b in off]
+    if comes_back:
+        return f"{run.label} {' and '.join(times)}, and then no more until {end}"
+    times[-1] = f"from {off[-1][0]:.1f} s to {end}"
+    return f"{run.label} {' and '.join(times)}"
+
+
+def _end(run: Run) -> str:
+    """What ended the contact."""
+    phase = next((phase for t_s, phase in run.phases if t_s == run.contact_end_s), None)
+    return "the end of the flight" if phase is None else f"the {phase.value}"
 
 
 def _of_many(panels: Any, bench: FigureBench) -> None:
@@ -90,9 +98,10 @@ def _of_many(panels: Any, bench: FigureBench) -> None:
         for w in worlds
     ]
     top = max((max(v) for v in of_peaks if v), default=1.0)
+    edges = [0.0, limit, *(speed for of_world in of_speeds for speed in of_world)]
     look = {"color": [BLUE, ORANGE][: len(worlds)], "histtype": "bar"}
     peaks.hist(of_peaks, bins=np.linspace(0.0, 1.15 * top, 24), label=worlds, **look)
-    speeds.hist(of_speeds, bins=np.linspace(0.0, 1.1 * limit, 24), **look)
+    speeds.hist(of_speeds, bins=np.linspace(min(edges), 1.1 * max(edges), 24), **look)
     speeds.axvline(limit, color="black", ls="--", lw=1.0, label=f"limit, {limit:g} m/s")
     finish(peaks, "peak of each flight", "force [N]", "flights")
     finish(speeds, "how fast the tip met the board", "closing speed [m/s]", "flights")
@@ -108,7 +117,8 @@ def _caption(bench: FigureBench) -> str:
     words = (
         "Force of the tip in both runs (thin: single steps; thick: means of 20 ms). They press "
         f"with {presses} (median) through a spring of {Arm().stiffness_npm:g} N/m, flown "
-        f"{bench.eyes_words}. {_of_breaks(bench.runs)}Below: {len(touches(bench.many))} flights "
+        f"{bench.eyes_words}. Off the board for more than {1e3 * OFF_S:.0f} ms after the touch: "
+        f"{'; '.join(map(_of_breaks, bench.runs))}. Below: {len(touches(bench.many))} flights "
         f"that touched, {bench.many_eyes_words}."
     )
     peaks = [row.peak_force_n for row in bench.many if row.touched]

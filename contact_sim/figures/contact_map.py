@@ -15,6 +15,7 @@ from rgbd_wire.geometry import Array
 from target_pose.target import Shade, load_round_target
 
 VIEW_M: Final = 0.036
+"""To each side, or farther, as far as the touches reach."""
 GOAL_M: Final = 0.02
 _SHADES: Final = {Shade.BLACK: "#c4c4c4", Shade.WHITE: "white"}
 """Pale, so that points are seen on both."""
@@ -26,6 +27,7 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     worlds = sorted({row.world for row in rows}, reverse=True)
     figure = new_figure(4.7)
     panels = np.atleast_1d(figure.subplots(1, len(worlds), sharey=True))
+    view_mm = 1e3 * max(VIEW_M, 1.1 * float(np.abs(touches(rows)).max(initial=0.0)))
     for axes, world, color in zip(panels, worlds, (BLUE, ORANGE), strict=False):
         mine = [row for row in rows if row.world == world]
         _board(axes)
@@ -40,8 +42,8 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
             mew=0,
             label="first touch",
         )
-        axes.set_xlim(-1e3 * VIEW_M, 1e3 * VIEW_M)
-        axes.set_ylim(-1e3 * VIEW_M, 1e3 * VIEW_M)
+        axes.set_xlim(-view_mm, view_mm)
+        axes.set_ylim(-view_mm, view_mm)
         axes.set_aspect("equal")
         title = f"{world}: {len(places)} of {len(mine)} touch"
         finish(axes, title, "right of the centre [mm]", "")
@@ -96,8 +98,9 @@ def _caption(rows: Sequence[FlightRow], worlds: Sequence[str]) -> str:
         )
     collided = sum(bool(row.collisions) for row in rows)
     outside = sum(row.outside_m > 0.0 for row in rows)
+    each = len({(row.world, row.seed) for row in rows}) == len(rows)
     return (
-        f"Where the tip first touched, one flight a seed: {'; '.join(words)}. Pushes outside the "
-        f"mouth: {outside}; collisions: {collided}. Over the middle of the print, to scale, as the "
-        "drone sees it."
+        f"Where the tip first touched{', one flight a seed' if each else ''}: {'; '.join(words)}. "
+        f"Of all flights {outside} pushed outside the mouth, {collided} collided. Over the "
+        "middle of the print, to scale, as the drone sees it."
     )

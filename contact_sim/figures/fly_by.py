@@ -80,13 +80,19 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
         label="pictures with a whole board",
     )  # fmt: skip
     axes.set_xlim(0.0, t_s[-1])
-    finish(axes, "detections during a flight past five boards", "time [s]", "pictures, in all")
+    finish(
+        axes,
+        f"detections during a flight past {len(fly_by.world_from_boards)} boards",
+        "time [s]",
+        "pictures, in all",
+    )
     legend(axes, loc="upper left")
     for column, (number, (picture, pose)) in enumerate(sorted(samples.items())):
         sample = figure.add_subplot(grid[1, column])
         show(sample, picture, pose, d455().color, fly_by.target)
         sample.set_title(_board_name(number), fontsize=8)
-    return figure, _caption(sights, fly_by)
+    answered = sum(pose is not None for _, pose in samples.values())
+    return figure, _caption(sights, fly_by, len(samples), answered)
 
 
 def _look(
@@ -150,7 +156,7 @@ def _board_name(number: int) -> str:
     return "end of the tunnel" if number == 0 else f"board {number}, {STATES[number - 1]}"
 
 
-def _caption(sights: Sequence[Sight], fly_by: FlyBy) -> str:
+def _caption(sights: Sequence[Sight], fly_by: FlyBy, shown: int, answered: int) -> str:
     whole = [s for s in sights if s.in_view is not None]
     part = [s for s in sights if s.in_part and s.in_view is None]
     none = [s for s in sights if not s.in_part]
@@ -165,8 +171,8 @@ def _caption(sights: Sequence[Sight], fly_by: FlyBy) -> str:
         f"A camera goes past {len(fly_by.world_from_boards)} boards in a tunnel (seed {SEED}), "
         f"each of its {len(sights)} pictures through a real service. Of {len(whole)} pictures with "
         f"a whole board in view (at most {FARTHEST_M:g} m away and {aside_deg:.0f} degrees "
-        f"aside) {hits[0]} gave its pose, of {len(part)} with one that is cut off, farther or more "
-        f"aside {hits[1]}, of the {len(none)} others {hits[2]}. Poses that are at no board: "
-        f"{false}.{off} Below, one picture of each board with the pose as it was "
-        f"answered, its axes: {AXES_WORDS}."
+        f"aside) {hits[0]} gave the pose of one, of {len(part)} with one that is cut off, farther "
+        f"or more aside {hits[1]}, of the {len(none)} others {hits[2]}. Poses that are at no "
+        f"board: {false}.{off} Below, one picture of each of {shown} boards, {answered} of them "
+        f"with the pose that was answered, its axes: {AXES_WORDS}."
     )

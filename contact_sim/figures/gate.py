@@ -62,6 +62,11 @@ class SlowLink:
         self._since_ns: int | None = None
         self._next_ns = 0
 
+    @property
+    def slowed(self) -> bool:
+        """The tip came near enough for it to begin."""
+        return self._since_ns is not None
+
     def __call__(self, flight: LockstepFlight) -> None:
         """Before every tick."""
         now_ns, distance_m = flight.simulation.t_ns, flight.tip_distance_m
@@ -85,7 +90,8 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     """Every result in the plane of the two delays, and over time with what the drone did."""
     bench.tell("a flight on a slow link", 0, 1)
     settings = LockstepSettings()
-    run = fly("slow link", build_scene(WORLD, SEED), SEED, before_tick=SlowLink(SEED))
+    link = SlowLink(SEED)
+    run = fly("slow link", build_scene(WORLD, SEED), SEED, before_tick=link)
     gate = settings.parts.gate
     tau_ms, age_ms = gate.tau_max_ns / 1e6, gate.age_max_ns / 1e6
     figure = new_figure(7.6)
@@ -112,7 +118,7 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     for axes in (times, tip):
         axes.set_xlim(0.0, run.t_s[-1])
         mark_phases(axes, run.phases, wide=True)
-    return figure, _caption(run, tau_ms, age_ms)
+    return figure, _caption(run, tau_ms, age_ms, slowed=link.slowed)
 
 
 def by_verdict(receptions: tuple[Reception, ...]) -> dict[Verdict, list[Reception]]:
@@ -148,19 +154,36 @@ def _tip(axes: Any, run: Run) -> None:
         legend(axes, loc="upper right", title="shaded: the filter's levels", title_fontsize=8)
 
 
-def _caption(run: Run, tau_ms: float, age_ms: float) -> str:
+def _shaded(run: Run) -> str:
+    """What the filter made of the age of what it knew, of the levels that are shaded."""
+    safe = [tick.decision.safe for tick in run.flown.ticks]
+    seen = {s.freshness for s in safe if s is not None}
+    does = [_LEVELS[level].split(": ")[1] for level in _LEVELS if level in seen]
+    if not does:
+        return "Nothing is shaded: the newest accepted one never gets old"
+    words = " or ".join(filter(None, (", ".join(does[:-1]), does[-1])))
+    return (
+        "Shaded: what the safety filter makes of the age of the newest accepted one, whatever the "
+        f"mission does: it {words}"
+    )
+
+
+def _caption(run: Run, tau_ms: float, age_ms: float, *, slowed: bool) -> str:
     counts = {verdict: len(found) for verdict, found in by_verdict(run.receptions).items()}
     refused = sum(n for verdict, n in counts.items() if verdict is not Verdict.ACCEPTED)
+    unknown = len(run.receptions) - sum(counts.values())
+    more = f"; of {unknown} more the times are not known" if unknown else ""
+    slow = f"gets up to {2 * EXTRA_MS:.0f} ms slower for {SLOW_S:g} s while the tip closes in"
+    if not slowed:
+        slow = f"never gets slow, for no approach comes as near as {1e2 * SLOW_FROM_M:.0f} cm"
     o = run.flown.outcome
     phases = ", ".join(phase.value for _, phase in run.phases)
     end = "made contact" if o.touched else "made no contact"
     off = "" if o.offset_m is None else f", {1e3 * o.offset_m:.1f} mm beside the centre"
     return (
-        f"A flight in the tunnel (seed {run.seed}) whose link gets up to {2 * EXTRA_MS:.0f} ms "
-        f"slower for {SLOW_S:g} s while the tip closes in. Accepted is what took at most "
-        f"{tau_ms:.0f} ms on the network and is at most {age_ms:.0f} ms old: "
-        f"{counts.get(Verdict.ACCEPTED, 0)} results; {refused} were refused. Shaded: what the "
-        "safety filter makes of the age of the newest accepted one, whatever the mission does: it "
-        "holds, brakes or backs off. Dotted: where the mission, which has phases of these names "
-        f"too, went into its next: {phases}. It {end}{off}. Flown {MODEL_WORDS}."
+        f"A flight in the {run.world} (seed {run.seed}) whose link {slow}. Accepted is what took "
+        f"at most {tau_ms:.0f} ms on the network and is at most {age_ms:.0f} ms old: "
+        f"{counts.get(Verdict.ACCEPTED, 0)} results; {refused} were refused{more}. "
+        f"{_shaded(run)}. Dotted: where the mission, which has phases of these names too, went "
+        f"into its next: {phases}. It {end}{off}. Flown {MODEL_WORDS}."
     )

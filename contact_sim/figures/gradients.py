@@ -13,7 +13,7 @@ from contact_sim.figures.style import BLUE, GRAY, ORANGE, finish, legend, new_fi
 from contact_sim.lockstep.flight import LockstepSettings
 from contact_sim.scene import build_scene
 from drone_client.cbf import Barrier, FilterSettings, Variant
-from drone_client.mission import Phase
+from drone_client.mission import Phase, Reason
 from rgbd_wire.geometry import Array
 
 NAMES: Final = {
@@ -24,6 +24,7 @@ NAMES: Final = {
 COLORS: Final = {Variant.PAPER: ORANGE, Variant.CUSP: GRAY, Variant.SMOOTH: BLUE}
 STARTS: Final = tuple((world, seed) for seed in (8, 13, 24) for world in ("tunnel", "refinery"))
 LONGEST_S: Final = 70.0
+"""A flight that is longer is cut off here."""
 
 
 def draw(bench: FigureBench) -> tuple[Any, str]:
@@ -111,8 +112,12 @@ def touched(runs: list[Run]) -> int:
 
 
 def kept(runs: list[Run]) -> int:
-    """How many pressed for as long as they should, and came back."""
-    return sum(run.flown.phase is Phase.DONE for run in runs)
+    """How many touched, and pressed for as long as they should."""
+    return sum(
+        run.flown.outcome.touched
+        and any(change.reason is Reason.DWELT for change in run.flown.transitions)
+        for run in runs
+    )
 
 
 def nearest_cm(runs: list[Run]) -> list[float]:
@@ -120,17 +125,37 @@ def nearest_cm(runs: list[Run]) -> list[float]:
     return sorted(100.0 * run.flown.outcome.nearest_m for run in runs)
 
 
+def missed(runs: list[Run]) -> str:
+    """What became of those that did not touch; empty where there is none."""
+    short = [run for run in runs if not run.flown.outcome.touched]
+    if not short:
+        return ""
+    near = nearest_cm(short)
+    come = "1 comes" if len(short) == 1 else f"{len(short)} come"
+    between = f"{near[0]:.0f} to {near[-1]:.0f}" if len(short) > 1 else f"{near[0]:.0f}"
+    phases = [run.flown.phase for run in short]
+    given_up, believed = phases.count(Phase.ABORT), phases.count(Phase.DONE)
+    parts = []
+    if given_up:
+        parts.append(f"the mission gives up {given_up}")
+    if believed:
+        parts.append(f"{believed} went back as if from contact")
+    if still := len(short) - given_up - believed:
+        are = "is" if still == 1 else "are"
+        parts.append(f"{still} {are} still at it after {LONGEST_S:g} s, where they are cut off")
+    return f": {come} no nearer than {between} cm; {', and '.join(parts)}"
+
+
 def _caption(of_variant: dict[Variant, list[Run]]) -> str:
     flights = len(of_variant[Variant.PAPER])
-    near = nearest_cm(of_variant[Variant.PAPER])
     printed, cusp = (_settings(v).barrier for v in (Variant.PAPER, Variant.CUSP))
     share = slope(printed, np.array([0.01]))[0] / slope(cusp, np.array([0.01]))[0]
     return (
         "Above: the lateral slope of the paper's h is "
         f"steeper than the gradient that it prints; 1 cm beside the axis the printed one shows "
         f"{100 * share:.0f} % of it. Below: the same {flights} starts, flown by the whole client "
-        f"with each barrier. As printed {touched(of_variant[Variant.PAPER])} of {flights} touch: "
-        f"they come no nearer than {near[0]:.0f} to {near[-1]:.0f} cm, and the mission gives up. "
+        f"with each barrier. As printed {touched(of_variant[Variant.PAPER])} of {flights} touch"
+        f"{missed(of_variant[Variant.PAPER])}. "
         f"With the true gradient of the cusp {touched(of_variant[Variant.CUSP])} touch and "
         f"{kept(of_variant[Variant.CUSP])} keep contact for as long as they should; with the "
         f"smooth funnel {touched(of_variant[Variant.SMOOTH])} and "

@@ -42,25 +42,38 @@ def draw(bench: FigureBench) -> tuple[Any, str]:
     return figure, _caption(bench)
 
 
-def settled_s(run: Run) -> tuple[float, float]:
-    """When e_y, e_z stay within 5 cm until the touch, and when e_x does [s]."""
+def settled_s(run: Run) -> tuple[float | None, float | None]:
+    """From when on e_y, e_z are within 5 cm as long as contact lasts, and e_x [s]; None: never."""
     end = run.t_s <= run.contact_end_s
     across = np.hypot(run.tip[end, 1], run.tip[end, 2])
     return _last_over(run.t_s[end], across), _last_over(run.t_s[end], np.abs(run.tip[end, 0]))
 
 
-def _last_over(t_s: np.ndarray[Any, Any], error: np.ndarray[Any, Any]) -> float:
+def _last_over(t_s: np.ndarray[Any, Any], error: np.ndarray[Any, Any]) -> float | None:
     over = np.nonzero(error > 0.05)[0]
-    return float(t_s[over[-1]]) if len(over) else float(t_s[0])
+    if not len(over):
+        return float(t_s[0])
+    return None if over[-1] == len(t_s) - 1 else float(t_s[over[-1]])
+
+
+def _of(run: Run) -> str:
+    """In which order the errors of one run went."""
+    across, along = settled_s(run)
+    if across is None:
+        order = "neither lines up nor closes in" if along is None else "does not line up"
+    elif along is None:
+        order = "lines up and does not close in"
+    elif across < along:
+        order = "lines up before it closes in"
+    else:
+        order = "does not line up before it closes in"
+    times = " against ".join("never" if s is None else f"{s:.1f} s" for s in (across, along))
+    return f"{run.label} {order} ({times})"
 
 
 def _caption(bench: FigureBench) -> str:
-    words = []
-    for run in bench.runs:
-        across, along = settled_s(run)
-        words.append(f"{across:.1f} s against {along:.1f} s in {run.label}")
     return (
-        "Errors of the true tip's place in the frame of the target, and of the heading. The tip "
-        "lines up before it closes in: $e_y$ and $e_z$ are within 5 cm for good after "
-        f"{' and '.join(words)} for $e_x$. Flown {bench.eyes_words}."
-    ).replace("$", "")
+        "Errors of the true tip's place in the frame of the target, and of the heading. "
+        "Lined up is a tip whose e_y and e_z stay within 5 cm to the end of contact, closed in one "
+        f"whose e_x does: {'; '.join(map(_of, bench.runs))}. Flown {bench.eyes_words}."
+    )

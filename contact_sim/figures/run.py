@@ -143,6 +143,15 @@ class Run:
         return next(pressed, None)
 
     @property
+    def touch_attempt(self) -> int | None:
+        """Which attempt touched the board first; None: none did."""
+        touched_ns = self.flown.outcome.touched_ns
+        if touched_ns is None:
+            return None
+        missions = [tick.decision.mission for tick in self.flown.ticks if tick.t_ns <= touched_ns]
+        return next((m.attempts for m in reversed(missions) if m is not None), 0)
+
+    @property
     def contact_end_s(self) -> float:
         """When it went back from contact; the end of the flight where it did not."""
         contact_s = self.began(Phase.CONTACT)

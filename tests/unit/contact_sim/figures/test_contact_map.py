@@ -87,3 +87,26 @@ def test_a_table_without_such_a_flight_is_said(row, tmp_path):
     path = table(tmp_path, rows(row)[3:])
     with pytest.raises(FigureError, match="--plain"):
         _ = FigureBench(table=path).many
+
+
+def test_nothing_drops_out_of_the_pictures_of_many(row, bench):
+    """However far beside, and however fast."""
+    wild = replace(row, seed=4, touch_left_m=-0.09, touch_up_m=0.01, closing_mps=0.2)
+    bench.__dict__["many"] = [row, wild, replace(row, seed=5, closing_mps=-0.002)]
+    figure, _ = contact_force.draw(bench)
+    for axes in figure.axes[2:]:
+        assert sum(bar.get_height() for bar in axes.patches) == 3
+    (axes,) = contact_map.draw(bench)[0].axes
+    assert axes.get_xlim()[0] < -90.0
+    assert axes.get_ylim()[1] > 90.0
+
+
+def test_a_seed_that_is_flown_twice_is_not_one_flight(row):
+    """A table may hold it on several boards."""
+    other = replace(row, seed=4, collisions="arm on wall; skid on rock", outside_m=0.001)
+    caption = contact_map._caption([row, other], ["tunnel"])
+    assert "Where the tip first touched, one flight a seed: in" in caption
+    assert "1 pushed outside the mouth, 1 collided" in caption
+    assert "one flight a seed" not in contact_map._caption(
+        [row, replace(row, board="glossy")], ["tunnel"]
+    )

@@ -112,7 +112,7 @@ def test_a_blind_service_counts_nothing(bench):
     """And the caption says so, without an error that nobody made."""
     bench.__dict__["service"] = BlindEyes()
     figure, caption = fly_by.draw(bench)
-    assert "gave its pose" in caption
-    assert " 0 gave its pose" in caption
+    assert " 0 gave the pose of one" in caption
+    assert "Below, one picture of each of 5 boards, 0 of them with the pose" in caption
     assert "nan" not in caption
     assert len(figure.axes) == 1 + 5

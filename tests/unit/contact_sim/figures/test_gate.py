@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from contact_sim.figures import gate
@@ -48,6 +50,8 @@ def test_it_is_drawn(bench: FigureBench):
     figure, caption = gate.draw(bench)
     assert len(figure.axes) == 3
     assert "were refused" in caption
+    assert "300 ms slower for 6 s" in caption
+    assert "it holds, brakes or backs off" in caption
     assert "measured errors instead of pictures" in caption
     plane, times, tip = figure.axes
     assert not plane.texts
@@ -58,3 +62,16 @@ def test_it_is_drawn(bench: FigureBench):
     shaded = {text.get_text() for text in tip.get_legend().get_texts()}
     assert len(shaded) == 3
     assert not shaded & names
+
+
+def test_a_link_that_never_got_slow_is_not_said_to_have_been(run):
+    """It waits for a tip that is near; and what is not judged by times is counted."""
+    caption = gate._caption(run, 250.0, 300.0, slowed=False)
+    assert "never gets slow, for no approach comes as near as 45 cm" in caption
+    assert "slower for" not in caption
+    assert "Nothing is shaded" in caption
+    assert "not known" not in caption
+    judgement = replace(run.receptions[0].judgement, network_delay_ns=None)
+    first = replace(run.receptions[0], judgement=judgement)
+    unknown = replace(run, receptions=(first, *run.receptions[1:]))
+    assert "of 1 more the times are not known" in gate._caption(unknown, 250.0, 300.0, slowed=True)
