@@ -30,6 +30,7 @@ NS_PER_S = 1_000_000_000
 
 _BOUNDS: dict[str, tuple[float, float]] = {
     "near_m": (0.0, 0.05),
+    "near_share": (0.0, 1.0),
     "window_s": (0.1, 2.0),
     "lag_s": (0.01, 2.0),
     "delay_s": (0.0, 1.0),
@@ -56,7 +57,11 @@ class ContactSettings:
 
     arm: Arm = field(default_factory=Arm)
     near_m: float = 0.005
-    """No witness is heard while the tip is further from the board than this and the error ball."""
+    """No witness is heard while the tip is further from the board than this and ``near_share``."""
+    near_share: float = 0.33
+    """Of the error ball: it holds the worst that may be, and a tip that stands at its far side is
+    held by wind far more often than by a board. A board that is nearer than it seems is felt all
+    the same, pressed in by the rest of the ball."""
     window_s: float = 0.5
     """Time over which motion is compared."""
     lag_s: float = 0.3
@@ -271,7 +276,7 @@ def _still_touching(state: ContactState, now: Feeling, settings: ContactSettings
     gone = (
         (_is_filled(state.places, settings) and back_m >= settings.spring_back_m)
         or -now.x_m - now.delta_m > settings.arm.travel_m
-        or not now.x_m <= settings.near_m + settings.spring_back_m + now.delta_m
+        or not now.x_m <= _near_m(now, settings) + settings.spring_back_m
         or state.votes.lidar is Vote.NO
     )
     lost_ns = _since(state.lost_since_ns, gone, now.t_ns)
@@ -293,7 +298,11 @@ def _along(places: tuple[_Place, ...], axis_world: Vec3) -> list[float]:
 
 
 def _is_near(now: Feeling, settings: ContactSettings) -> bool:
-    return now.x_m <= settings.near_m + now.delta_m
+    return now.x_m <= _near_m(now, settings)
+
+
+def _near_m(now: Feeling, settings: ContactSettings) -> float:
+    return settings.near_m + settings.near_share * now.delta_m
 
 
 def _since(since_ns: int | None, holds: bool, now_ns: int) -> int | None:
