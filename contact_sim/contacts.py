@@ -51,8 +51,6 @@ class Contacts:
         """Of the last step."""
         self.impacts: list[Impact] = []
         """Of the flight, in order; the first thousand."""
-        self.worst_impact_mps: dict[str, float] = {}
-        """By part."""
         self.fastest_mps: dict[tuple[str, str], float] = {}
         """By part and what it met: the fastest impact, also of those that are not kept."""
         self.worst_force_n: dict[str, float] = {}
@@ -75,6 +73,14 @@ class Contacts:
     def tip_force_n(self) -> float:
         """Of all that the tip touches, in the last step."""
         return sum(touch.force_n for touch in self.touches if touch.part == TIP)
+
+    @property
+    def worst_impact_mps(self) -> dict[str, float]:
+        """By part; zero of one that was only ever left."""
+        worst: dict[str, float] = {}
+        for (part, _), speed_mps in self.fastest_mps.items():
+            worst[part] = max(speed_mps, worst.get(part, 0.0))
+        return worst
 
     def since(self, t_ns: int) -> tuple[tuple[str, str], ...]:
         """Which part was on what in any step that began at a time or later."""
@@ -132,4 +138,3 @@ class Contacts:
         if len(self.impacts) < KEPT_IMPACTS:
             self.impacts.append(Impact(t_ns, *pair, speed))
         self.fastest_mps[pair] = max(speed, self.fastest_mps.get(pair, -math.inf))
-        self.worst_impact_mps[name] = max(speed, self.worst_impact_mps.get(name, 0.0))

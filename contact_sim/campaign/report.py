@@ -30,11 +30,11 @@ def summary(rows: Sequence[FlightRow]) -> dict[str, Any]:
     flown = [row for row in rows if not row.error]
     contacts = [row for row in flown if row.ends == "contact"]
     within = [row.offset_m for row in contacts if row.offset_m is not None]
-    touched = [row for row in flown if row.offset_m is not None]
+    offsets = [row.offset_m for row in flown if row.offset_m is not None]
     return {
         "flights": len(flown),
         "failed": len(rows) - len(flown),
-        "touched": len(touched),
+        "touched": len(offsets),
         "contact": len(contacts),
         "false_contact": sum(row.ends == "false_contact" for row in flown),
         "within_2cm": sum(o <= 0.02 for o in within),
@@ -49,7 +49,7 @@ def summary(rows: Sequence[FlightRow]) -> dict[str, Any]:
         "collided": sum(bool(row.collisions) for row in flown),
         "outside": sum(row.outside_m > 0.0 for row in flown),
         "outside_mm": 1e3 * max((row.outside_m for row in flown), default=0.0),
-        "offset_mm": _three(1e3 * r.offset_m for r in touched if r.offset_m is not None),
+        "offset_mm": _three(1e3 * o for o in offsets),
         "touch_age_ms": _three(1e3 * r.touch_age_s for r in flown if r.touch_age_s is not None),
         "closing_mps": _three(r.closing_mps for r in flown if r.closing_mps is not None),
         "peak_force_n": _three(r.peak_force_n for r in flown if r.touched),

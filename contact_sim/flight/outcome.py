@@ -8,13 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from contact_sim.contacts import BOARD, TIP
 from contact_sim.simulation import Simulation
 from drone_client.cbf import Funnel
 from drone_client.cbf.vector import Vec3, moved
 from rgbd_wire.geometry import Array, Pose, vec3
 
-TIP: Final = "drone/tip"
-BOARD: Final = "board"
 MOUTH_M: Final = Funnel().r_c_m
 """Radius of the funnel's mouth: contact is allowed inside it."""
 TRACK_NS: Final = 20_000_000

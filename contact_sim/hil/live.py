@@ -17,10 +17,6 @@ ASIDE_NS: Final = 500_000_000
 """Between two times that something else is seen to."""
 
 
-def _nothing() -> None:
-    """Nothing else is to be seen to."""
-
-
 class HilLive(LiveSimulation):
     """Steps as its autopilot answers, and no faster than the clock.
 
@@ -36,7 +32,7 @@ class HilLive(LiveSimulation):
         flight: HilFlight,
         clock: Clock,
         on_turn: Callable[[Simulation, int], None] = lambda simulation, now_ns: None,
-        aside: Callable[[], None] = _nothing,
+        aside: Callable[[], None] = lambda: None,
     ) -> None:
         """Take a flight over, at its beginning.
 

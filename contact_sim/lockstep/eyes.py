@@ -28,6 +28,11 @@ class Sizes(NamedTuple):
     color: int
     depth: int
 
+    @classmethod
+    def of_pictures(cls, color: int, depth: int) -> Sizes:
+        """By the pictures alone: what else a frame carries weighs the same in every flight."""
+        return cls(HEADER_BYTES + color + depth, color, depth)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
@@ -152,7 +157,7 @@ class ModelEyes:
             rung = chosen.choice.rung
             color *= rung.color_weight
             depth *= rung.depth_weight(chosen.choice.region_share)
-        return Sizes(round(color) + round(depth) + HEADER_BYTES, round(color), round(depth))
+        return Sizes.of_pictures(round(color), round(depth))
 
     def _in_view(self, camera_from_target: Pose) -> bool:
         """The inner half of the board is in the picture, near enough, and not from behind."""

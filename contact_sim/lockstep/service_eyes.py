@@ -12,7 +12,7 @@ import time
 from typing import Final, Self
 
 from contact_sim.errors import ServiceError
-from contact_sim.lockstep.eyes import HEADER_BYTES, Look, Sizes
+from contact_sim.lockstep.eyes import Look, Sizes
 from drone_client.encoding_choice import ChosenEncoding
 from drone_client.errors import ClientError
 from drone_client.link import Link
@@ -95,10 +95,8 @@ class ServiceEyes:
             if not self._changed.wait_for(lambda: number in self._results, ANSWER_S):
                 raise ServiceError(f"no answer to a frame within {ANSWER_S:g} s")
             result = self._results.pop(number)
-        color, depth = len(compressed.color), compressed.depth.size_bytes
-        # What the link carries is of the pictures alone: a name or a number of one digit more
-        # would be another flight
-        sizes = Sizes(HEADER_BYTES + color + depth, color, depth)
+        # And not what was sent, in which a name or a number of one digit more is another flight
+        sizes = Sizes.of_pictures(len(compressed.color), compressed.depth.size_bytes)
         return Look(result.outcome, result.target, sizes)
 
     def _on_workers(self) -> None:

@@ -126,11 +126,9 @@ class RemoteWorker:
             self._receiver.on_message(message, t4_ns)
 
     def _pass_down(self, message: bytes, leaves_ns: int, size_bytes: int) -> None:
-        heapq.heappush(self._leaving, (leaves_ns, self._number(), size_bytes, message))
-
-    def _number(self) -> int:
         self.counts["messages"] += 1
-        return self.counts["messages"]
+        number = self.counts["messages"]
+        heapq.heappush(self._leaving, (leaves_ns, number, size_bytes, message))
 
     def _result(
         self, sequence: int, t_capture_ns: int, t1_ns: int, t2_ns: int, t3_ns: int, look: Look

@@ -7,7 +7,8 @@ import math
 
 import pytest
 
-from contact_sim.flight.outcome import BOARD, Witness
+from contact_sim.contacts import BOARD
+from contact_sim.flight.outcome import Witness
 from drone_client.mission import Phase
 from tests.unit.contact_sim.flights import BOARD as WORLD_FROM_TARGET
 from tests.unit.contact_sim.flights import BOARD_X_M, HEIGHT_M, REACH_M, Pilot, simulation
