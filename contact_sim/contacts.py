@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import mujoco
@@ -14,6 +15,7 @@ from contact_sim.vehicle.body import Motion
 TIP = "drone/tip"
 BOARD = "board"
 KEPT_IMPACTS = 1000
+KEPT_FORCES = 100
 APART_NS = 20_000_000
 """Two parts that have been apart for less than this never were: a stiff touch rattles."""
 
@@ -55,6 +57,7 @@ class Contacts:
         """By part and what it met: the fastest impact, also of those that are not kept."""
         self.worst_force_n: dict[str, float] = {}
         """By part; of all that it touched at once."""
+        self._tip_forces: deque[tuple[int, float]] = deque(maxlen=KEPT_FORCES)
         self._model = model
         self._names = [
             mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, i) or f"geom {i}"
@@ -92,6 +95,10 @@ class Contacts:
             if last_ns >= t_ns
         )
 
+    def worst_tip_force_since(self, t_ns: int) -> float:
+        """The tip's worst force [N] in the steps that began at a time or later; of 200 ms."""
+        return max((force_n for at_ns, force_n in self._tip_forces if at_ns >= t_ns), default=0.0)
+
     def look(self, data: mujoco.MjData, t_ns: int, before: Motion) -> None:
         """Take the contacts of a step that was just made.
 
@@ -123,6 +130,8 @@ class Contacts:
         self.touches = tuple(touches)
         for name, force_n in forces.items():
             self.worst_force_n[name] = max(force_n, self.worst_force_n.get(name, 0.0))
+        if TIP in forces:
+            self._tip_forces.append((t_ns, forces[TIP]))
 
     def _hit(
         self, contact: mujoco.MjContact, part: int, other: int, t_ns: int, before: Motion

@@ -25,14 +25,12 @@ from drone_client.calibration.command import calibrate
 from drone_client.doctor.command import doctor
 from drone_client.errors import ClientError
 from drone_client.fly.command import fly
-from drone_client.ledger import LEDGER_NAME
 from drone_client.link.choose import link_summary, open_link
-from drone_client.plot import PLOT_NAME
 from drone_client.replay import ReplayOptions
 from drone_client.replay import replay as run_replay
 from drone_client.ros.names import Flavour
 from drone_client.ros.publish import open_ros, publish_accepted
-from drone_client.run_report import SUMMARY_NAME
+from drone_client.run_files import LEDGER_NAME, PLOT_NAME, SUMMARY_NAME
 from drone_client.settings import ClientSettings, about, known_name, load_settings
 from drone_client.source.bag import BagOptions
 from drone_client.source.choose import open_recorded

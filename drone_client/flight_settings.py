@@ -14,7 +14,7 @@ from drone_client.rate_control import RateSettings
 from drone_client.settings import NS_PER_MS, ClientSettings
 from drone_client.target import USUAL_BUDGET, OdometryBudget
 from drone_client.uplink import UplinkSettings
-from target_pose.target import Target, load_round_target
+from target_pose.target import Target, load_round_target, load_target
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ def flight_settings(settings: ClientSettings) -> FlightSettings:
     """The parts' settings out of the client's: every bound is stated once, in ``settings``.
 
     Raises:
-        TargetFileError: the target of the drone's own eyes cannot be read.
+        TargetFileError: the target cannot be read, or the drone's own eyes cannot look for it.
     """
     control = ControlSettings(
         filter=replace(
@@ -69,6 +69,8 @@ def flight_settings(settings: ClientSettings) -> FlightSettings:
     if settings.onboard_fallback:
         alone_max_ns = round(settings.onboard_max_s * 1e9)
         own_eyes = OwnEyesSettings(load_round_target(settings.onboard_target), alone_max_ns)
+    else:
+        load_target(settings.onboard_target)  # what is flown to is drawn from it all the same
     return FlightSettings(
         uplink=UplinkSettings(
             drone=settings.name,

@@ -12,15 +12,18 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from drone_client.errors import OutputError
 from drone_client.line_writer import LineWriter
-
-LEDGER_NAME: Final = "ledger.jsonl"
-EVENTS_NAME: Final = "events.jsonl"
-TICKS_NAME: Final = "ticks.jsonl"
-ONBOARD_NAME: Final = "onboard.jsonl"
+from drone_client.run_files import (
+    EVENTS_NAME,
+    LEDGER_NAME,
+    ONBOARD_NAME,
+    TICKS_NAME,
+    check_earlier,
+    clear_earlier,
+)
 
 
 class Fate(StrEnum):
@@ -55,20 +58,6 @@ class FrameEntry:
     """How it was coded, and why so."""
 
 
-def check_earlier(folder: Path, *, overwrite: bool) -> None:
-    """See that no earlier run is in a folder: it is evidence, and goes only if somebody says so.
-
-    Raises:
-        OutputError: there is one.
-        OSError: nobody can see.
-    """
-    earlier = folder / LEDGER_NAME
-    if not overwrite and earlier.exists() and earlier.stat().st_size:
-        raise OutputError(
-            f"folder {folder} holds an earlier run: give another --out, or --overwrite"
-        )
-
-
 class Ledger:
     """Writes ``ledger.jsonl`` and beside it events, control ticks, and looks on board. Thread-safe.
 
@@ -92,8 +81,8 @@ class Ledger:
             names = [LEDGER_NAME, EVENTS_NAME, TICKS_NAME]
             if own_eyes:
                 names.append(ONBOARD_NAME)
-            else:
-                (folder / ONBOARD_NAME).unlink(missing_ok=True)  # of an earlier run
+            if overwrite:
+                clear_earlier(folder)
             self._writer = LineWriter({name: folder / name for name in names})
         except FileExistsError:
             raise OutputError(f"folder {folder}: there is a file of that name") from None

@@ -10,7 +10,6 @@ from drone_client.gate import Verdict
 from drone_client.ledger import Fate
 from drone_client.onboard_summary import bridges
 
-PLOT_NAME = "run.png"
 _CHOSEN_COLORS = {
     Fate.SUPERSEDED_ON_BOARD: "tab:gray",
     Fate.TOO_OLD_ON_BOARD: "tab:cyan",

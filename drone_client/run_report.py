@@ -5,27 +5,27 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from drone_client.errors import OutputError
 from drone_client.flight import Flight
-from drone_client.ledger import (
+from drone_client.ledger import Ledger
+from drone_client.link import Link
+from drone_client.link.choose import link_summary
+from drone_client.plot import plot_run
+from drone_client.run_files import (
     EVENTS_NAME,
     LEDGER_NAME,
     ONBOARD_NAME,
+    PLOT_NAME,
+    SUMMARY_NAME,
     TICKS_NAME,
-    Ledger,
     check_earlier,
 )
-from drone_client.link import Link
-from drone_client.link.choose import link_summary
-from drone_client.plot import PLOT_NAME, plot_run
 from drone_client.settings import ClientSettings
 from drone_client.summary import read_lines, summarise
 from drone_client.truth import TruthEntry
 from drone_client.viewing.whole_file import write_whole
-
-SUMMARY_NAME: Final = "summary.json"
 
 
 def check_folder(folder: Path, *, overwrite: bool) -> None:

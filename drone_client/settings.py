@@ -106,7 +106,12 @@ class ClientSettings(BaseSettings):
         description="by how much the safety filter's error ball grows while nobody confirms what "
         "is seen on board [mm/s]: a long outage turns into a retreat by itself",
     )
-    control_hz: float = Field(50.0, ge=10, le=500, description="rate of the control loop [Hz]")
+    control_hz: float = Field(
+        50.0,
+        ge=25,  # below, one late turn and the dead man stops the vehicle between two commands
+        le=500,
+        description="rate of the control loop [Hz]",
+    )
     wait_for_worker_s: float = Field(
         10.0, ge=0, le=600, description="how long to wait for a first worker [s]"
     )

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from contact_sim.campaign.faults import USUAL, Fault, Kind, load_faults
 from contact_sim.campaign.report import by_group, page, summary
-from contact_sim.campaign.row import Flight, FlightRow
+from contact_sim.campaign.row import UNFINISHED, Flight, FlightRow
 from contact_sim.campaign.run import ABLATIONS, WHOLE, Table, fly_campaign, plan
 from contact_sim.errors import CampaignError
 from contact_sim.flight.service import ServiceProcess
@@ -94,7 +94,8 @@ def campaign(
     seed, and always the same for that seed. A row a flight goes to flights.csv as it ends.
 
     Exit code 0: every flight was safe: nothing but the tip touched anything, and not beside the
-    mouth. 3: some were not, or could not be flown. What flies without a part does not count.
+    mouth. 3: some were not, did not end, or could not be flown. What flies without a part does not
+    count.
 
     Example: python -m contact_sim campaign --flights 100 --faults usual --out runs/faults
     """
@@ -133,8 +134,8 @@ def campaign(
 
             def on_row(row: FlightRow) -> None:
                 bar.advance(task)
-                if not row.safe:
-                    why = row.error or row.collisions or f"pushed {1e3 * row.outside_m:.1f} mm"
+                if not row.safe or row.ends == UNFINISHED:
+                    why = row.error or row.collisions or _what(row)
                     console.print(
                         f"{row.world}, seed {row.seed}, {row.fault}, {row.ablation}: {why}",
                         markup=False,
@@ -151,7 +152,8 @@ def campaign(
         for key, s in groups.items():
             print(f"{key}: {_line(s)}")
         print(f"table {out / TABLE_NAME}, page {out / PAGE_NAME}")
-    if not all(row.safe for row in rows if row.ablation == WHOLE or row.error):
+    bad = [row for row in rows if not row.safe or row.ends == UNFINISHED]
+    if any(row.ablation == WHOLE or row.error for row in bad):
         raise typer.Exit(3)
 
 
@@ -168,6 +170,12 @@ def _check(worlds: list[str], board: str, link: str, eyes: EyesName, connect: st
         raise CampaignError(str(error)) from None
     if eyes is EyesName.MODEL and connect is not None:
         raise CampaignError("--connect is for --eyes service; the model needs no service")
+
+
+def _what(row: FlightRow) -> str:
+    if row.outside_m > 0.0:
+        return f"pushed {1e3 * row.outside_m:.1f} mm"
+    return f"not given back within {row.flown_s:.0f} s: {row.phase}"
 
 
 def _line(s: dict[str, Any]) -> str:

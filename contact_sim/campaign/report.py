@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from contact_sim.campaign.row import FlightRow
+from contact_sim.campaign.row import UNFINISHED, FlightRow
 
 NONE: Final = "none"
 Z95: Final = 1.959964
@@ -45,6 +45,7 @@ def summary(rows: Sequence[FlightRow]) -> dict[str, Any]:
         "back_to_m": min((row.end_m for row in flown if row.ends == "retreat"), default=None),
         "no_approach": sum(row.ends == "no_approach" for row in flown),
         "touches": sum(row.ends == "touches" for row in flown),
+        "unfinished": sum(row.ends == UNFINISHED for row in flown),
         "safe": sum(row.safe for row in flown),
         "collided": sum(bool(row.collisions) for row in flown),
         "outside": sum(row.outside_m > 0.0 for row in flown),
@@ -146,12 +147,12 @@ def _faults(faults: dict[tuple[str, str, str], dict[str, Any]]) -> list[str]:
         "the same. *Retreat*: back without, *to* at least so far from the board. *Stands*: given "
         "back nearer than half the stand-off distance, clear of the board. *On the board*: given "
         "back while it touches. *False*: back from a contact that was none. *None*: it never began "
-        "an approach.",
+        "an approach. *Not over*: not given back when time was up.",
         "",
         "| world | fault | flights | contact | retreat | to [m] | stands | on the board | false "
-        "| none | touched anything else | push outside the mouth | deepest [mm] "
+        "| none | not over | touched anything else | push outside the mouth | deepest [mm] "
         "| force [N], p50 / p95 / max |",
-        "| --- | --- |" + " ---: |" * 11 + " --- |",
+        "| --- | --- |" + " ---: |" * 12 + " --- |",
     ]
     for (world, fault, _), s in faults.items():
         force = _cell(s["peak_force_n"], ".2f")
@@ -159,7 +160,7 @@ def _faults(faults: dict[tuple[str, str, str], dict[str, Any]]) -> list[str]:
         lines.append(
             f"| {world} | {fault.replace('_', ' ')} | {s['flights']} | {s['contact']} | "
             f"{s['retreat']} | {back} | {s['stands']} | {s['touches']} | {s['false_contact']} | "
-            f"{s['no_approach']} | "
+            f"{s['no_approach']} | {s['unfinished']} | "
             f"{s['collided']} | {s['outside']} | {s['outside_mm']:.1f} | {force} |"
         )
     return [*lines, ""]

@@ -27,6 +27,9 @@ class Flight(NamedTuple):
     ablation: str
 
 
+UNFINISHED: Final = "unfinished"
+
+
 @dataclass(frozen=True, slots=True)
 class FlightRow:
     """What one flight came to; lengths in metres, an empty cell where there is nothing to say."""
@@ -44,7 +47,8 @@ class FlightRow:
     ends: str
     """contact: touched and back. false_contact: the client believes so, and nothing touched.
     retreat: back, without. stands: given back clear of the board.
-    touches: given back on it. no_approach: it never began one. failed: it was not flown."""
+    touches: given back on it. no_approach: it never began one. unfinished: not given back when
+    time was up. failed: it was not flown."""
     attempts: int
     struck_m: float | None
     """Where the fault struck."""
@@ -72,7 +76,7 @@ class FlightRow:
     """Results that the gate refused."""
     wall_s: float
     error: str = ""
-    """Why there was no flight, or no end of one."""
+    """Why there was no flight."""
 
     @property
     def flight(self) -> Flight:
@@ -94,7 +98,9 @@ def flight_row(flight: Flight, flown: Flown, striker: Striker | None, wall_s: fl
     """The row of a flight."""
     o = flown.outcome
     left, up = (None, None) if o.touch_target_m is None else o.touch_target_m
-    if flown.phase is Phase.DONE:
+    if not flown.given_back:
+        ends = UNFINISHED
+    elif flown.phase is Phase.DONE:
         ends = "contact" if o.touched else "false_contact"
     elif flown.attempts == 0:
         ends = "no_approach"

@@ -152,7 +152,11 @@ class Table:
     def __init__(self, path: Path, *, goes_on: bool, overwrites: bool = False) -> None:
         self.rows: list[FlightRow] = []
         self._path = path
-        if path.exists() and not overwrites:
+        try:
+            there = path.exists()
+        except OSError as error:
+            raise CampaignError(f"cannot write {path}: {error.strerror}") from None
+        if there and not overwrites:
             if not goes_on:
                 raise CampaignError(
                     f"{path} is there already: --resume goes on after its flights, --overwrite "
@@ -208,7 +212,8 @@ def read_table(path: Path) -> list[FlightRow]:
             reader = csv.DictReader(file)
             lines = list(reader)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CampaignError(f"cannot read {path}: {error}") from None
+        why = getattr(error, "strerror", None) or error
+        raise CampaignError(f"cannot read {path}: {why}") from None
     if lacks := [name for name in NAMES if name not in (reader.fieldnames or ())]:
         raise CampaignError(f"{path} is no table of flights: column {lacks[0]} is missing")
     rows = []

@@ -31,7 +31,8 @@ class FigureBench:
     """Flies and looks on demand; a context that ends what it started.
 
     Raises:
-        FigureError: the table of a campaign holds no flight that could be drawn.
+        CampaignError: the table of a campaign cannot be read.
+        FigureError: it holds no flight that could be drawn.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class FigureBench:
         self.tell = tell
         self._pictures = pictures
         self._connect = connect
-        self._table = table
+        self._flown = None if table is None else _without_faults(table)
         self._flights = min(flights, QUICK_FLIGHTS) if quick else flights
         self._jobs = jobs
         self._scratch = scratch
@@ -114,18 +115,8 @@ class FigureBench:
     @cached_property
     def many(self) -> list[FlightRow]:
         """Flights without faults, in both worlds."""
-        if self._table is not None:
-            rows = [
-                row
-                for row in read_table(self._table)
-                if row.fault == "none" and row.ablation == "none" and not row.error
-            ]
-            if not rows:
-                raise FigureError(
-                    f"{self._table} holds no flight without a fault: fly some with "
-                    "python -m contact_sim campaign --plain"
-                )
-            return rows
+        if self._flown is not None:
+            return self._flown
         jobs = plan(WORLDS, range(self._flights), (None,), (), "clean", LINK)
         rows = []
         for row in fly_all(jobs, self._jobs):
@@ -139,3 +130,17 @@ class FigureBench:
         self.tell(label, 0, 1)
         eyes: Eyes | None = self.service if self._pictures else None
         return fly(label, build_scene(world, seed), seed, LINK, eyes)
+
+
+def _without_faults(table: Path) -> list[FlightRow]:
+    rows = [
+        row
+        for row in read_table(table)
+        if row.fault == "none" and row.ablation == "none" and not row.error
+    ]
+    if not rows:
+        raise FigureError(
+            f"{table} holds no flight without a fault: fly some with "
+            "python -m contact_sim campaign --plain"
+        )
+    return rows

@@ -101,7 +101,8 @@ def figures(
         TimeElapsedColumn(),
         console=console,
     )
-    if service or any(entry.drawn for entry in entries):
+    draws = service or any(entry.drawn for entry in entries)
+    if draws:
         choose_gl()
     with ExitStack() as stack:
         stack.enter_context(bar)
@@ -122,6 +123,8 @@ def figures(
                 tell=tell,
             )
         )
+        if draws and connect is not None:
+            _ = bench.service  # nobody there: told before anything is flown
         for entry in entries:
             bar.update(whole, description=entry.name)
             if (why := _draw(entry, bench, out, asked.command(entry))) is not None:

@@ -56,7 +56,7 @@ class Recorder:
         self._eyes = eyes
         self._folder = folder
         self._truth_due_ns = 0
-        self._force_n = 0.0
+        self._truth_ns = 0
 
     def look(
         self, frame: RgbdFrame, camera_from_target: Pose, chosen: ChosenEncoding | None = None
@@ -70,12 +70,11 @@ class Recorder:
     def before_tick(self, flight: LockstepFlight) -> None:
         """How it truly is, and where the drone believes to be."""
         now_ns = flight.simulation.t_ns
-        self._force_n = max(self._force_n, flight.simulation.truth.tip_force_n)
         if now_ns < self._truth_due_ns:
             return
         self._truth_due_ns = now_ns + TRUTH_NS
-        self.moments.append(truly(truth_line(flight.simulation, now_ns, self._force_n)))
-        self._force_n = 0.0
+        self.moments.append(truly(truth_line(flight.simulation, now_ns, self._truth_ns)))
+        self._truth_ns = now_ns
         state = flight.vehicle.state()
         if state is None or state.world_from_body is None or state.t_pose_ns is None:
             return

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
-from contact_sim.chance import stream
-from contact_sim.figures.bench import LINK, MODEL_WORDS, FigureBench
+from contact_sim.figures.bench import MODEL_WORDS, FigureBench
 from contact_sim.figures.run import Run, fly
 from contact_sim.figures.style import (
     AMBER,
@@ -24,13 +22,11 @@ from contact_sim.figures.style import (
     new_figure,
 )
 from contact_sim.lockstep.flight import LockstepFlight, LockstepSettings
-from contact_sim.lockstep.link_model import Way
 from contact_sim.scene import build_scene
 from drone_client.cbf import Freshness
 from drone_client.gate import Verdict
 from drone_client.mission import Phase
 from drone_client.reception import Reception
-from link_emulator.profiles import profile
 
 WORLD, SEED = "tunnel", 26
 EXTRA_MS: Final = 150.0
@@ -57,8 +53,7 @@ _LEVELS: Final = {
 class SlowLink:
     """Makes the link slower and faster again, as a hump of half a sine, on the way in."""
 
-    def __init__(self, seed: int) -> None:
-        self._rng = stream(seed, "slow link")
+    def __init__(self) -> None:
         self._since_ns: int | None = None
         self._next_ns = 0
 
@@ -80,17 +75,14 @@ class SlowLink:
         self._next_ns = now_ns + STEP_NS
         share = min((now_ns - self._since_ns) / (SLOW_S * 1e9), 1.0)
         extra_ms = EXTRA_MS * float(np.sin(np.pi * share))
-        usual = profile(LINK)
-        for name, way in (("up", usual.up), ("down", usual.down)):
-            slower = replace(way, delay_ms=way.delay_ms + extra_ms, jitter_ms=3 * way.jitter_ms)
-            setattr(flight.link, name, Way(slower, self._rng))
+        flight.link.slow(extra_ms / 1e3)
 
 
 def draw(bench: FigureBench) -> tuple[Any, str]:
     """Every result in the plane of the two delays, and over time with what the drone did."""
     bench.tell("a flight on a slow link", 0, 1)
     settings = LockstepSettings()
-    link = SlowLink(SEED)
+    link = SlowLink()
     run = fly("slow link", build_scene(WORLD, SEED), SEED, before_tick=link)
     gate = settings.parts.gate
     tau_ms, age_ms = gate.tau_max_ns / 1e6, gate.age_max_ns / 1e6

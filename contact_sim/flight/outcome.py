@@ -15,7 +15,7 @@ from drone_client.cbf.vector import Vec3, moved
 from rgbd_wire.geometry import Array, Pose, vec3
 
 MOUTH_M: Final = Funnel().r_c_m
-"""Radius of the funnel's mouth: contact is allowed inside it."""
+"""Radius of the usual funnel's mouth."""
 TRACK_NS: Final = 20_000_000
 RISEN_NS: Final = 200_000_000
 """A drone that has touched nothing for so long flies; what it stood on before is no collision."""
@@ -89,7 +89,14 @@ class Witness:
     What touched between two looks counts, also where it is off again at the second.
     """
 
-    def __init__(self, world_from_target: Pose) -> None:
+    def __init__(self, world_from_target: Pose, mouth_m: float = MOUTH_M) -> None:
+        """Nothing is seen yet.
+
+        Args:
+            world_from_target: of the board as it truly hangs.
+            mouth_m: radius of the flown funnel's mouth; contact is allowed inside it.
+        """
+        self._mouth_m = mouth_m
         self.rows: list[Row] = []
         self._target_from_world = world_from_target.inverse()
         self._touch: Array | None = None
@@ -120,7 +127,7 @@ class Witness:
         x, y, z = moved(vec3(tip_target), vec3(forward), truth.arm_m)
         self._nearest_m = min(self._nearest_m, x)
         beside_m = math.hypot(float(tip_target[1]), float(tip_target[2]))
-        if beside_m > MOUTH_M and any(part == TIP for part, _ in met):
+        if beside_m > self._mouth_m and any(part == TIP for part, _ in met):
             self._outside_m = max(self._outside_m, truth.arm_m)
         flies = not self._stands(simulation.t_ns, touches=bool(met))
         for part, other in met if flies else ():

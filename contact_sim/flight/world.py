@@ -16,7 +16,7 @@ from contact_sim.flight.autopilot import SimulatedVehicle
 from contact_sim.flight.camera import SimulatedCamera
 from contact_sim.flight.live import TURN_STEPS, LiveSimulation
 from contact_sim.flight.odometry import SimulatedOdometry
-from contact_sim.flight.outcome import Witness
+from contact_sim.flight.outcome import MOUTH_M, Witness
 from contact_sim.flight.search import searching
 from contact_sim.flight.service import ServiceProcess, free_udp_port
 from contact_sim.hil.line import address_of
@@ -49,6 +49,7 @@ class SimulatedWorld:
         folder: Path,
         outside: Outside | None = None,
         airframe: Airframe | None = None,
+        mouth_m: float = MOUTH_M,
     ) -> None:
         """Build the drone into a scene; ``start`` lets time pass.
 
@@ -59,13 +60,14 @@ class SimulatedWorld:
             folder: of the run; how it truly was is written there from the run's beginning on.
             outside: a PX4 that is the vehicle, waited for here; None: the simulator's own.
             airframe: of the drone; None: the usual one.
+            mouth_m: radius within which the tip may touch.
 
         Raises:
             VehicleError: the drone cannot be built so, or has no room where the flight begins.
         """
         rig, airframe = d455(), airframe or Airframe()
         self.scene = scene
-        self.witness = Witness(scene.world_from_target)
+        self.witness = Witness(scene.world_from_target, mouth_m)
         self.truth = TruthWriter(folder)
         self.outside = outside
         self.live: LiveSimulation
@@ -120,7 +122,7 @@ class SimulatedWorld:
             "facts": dict(self.scene.facts),
             "slipped_s": self.live.slipped_ns / 1e9,
             "error": None if error is None else str(error),
-            "unwritten": self.truth.problem,
+            "unwritten": self.truth.problem(),
             **({} if self.outside is None else {"hil": self.outside.counts()}),
             **outcome.as_json(),
             "safe": outcome.safe,
@@ -161,7 +163,8 @@ def open_world(request: SimulatorRequest, clock: Clock) -> SimulatedWorld:
     link = None if request.link is None else profile(request.link)
     if link is not None and not request.starts_service:
         raise ServiceError(
-            "--link lies before a service that is started for the flight: leave --connect out"
+            "--link lies before a service that is started for the flight: leave --connect, or "
+            "DRONE_CONNECT, out"
         )
     scene = build_scene(request.world, request.seed, request.board)
     with contextlib.ExitStack() as undo:
@@ -170,7 +173,13 @@ def open_world(request: SimulatorRequest, clock: Clock) -> SimulatedWorld:
             outside = Outside(*address_of(request.hil), request.autopilot, clock)
             undo.callback(outside.close)
         world = SimulatedWorld(
-            scene, request.seed, clock, request.folder, outside, request.airframe
+            scene,
+            request.seed,
+            clock,
+            request.folder,
+            outside,
+            request.airframe,
+            request.mouth_m,
         )
         undo.callback(world.close)
         if request.starts_service:
@@ -181,11 +190,12 @@ def open_world(request: SimulatorRequest, clock: Clock) -> SimulatedWorld:
                 world.stack.callback(keys.unlink, missing_ok=True)  # of this flight alone
                 options = ["--udp", f"127.0.0.1:{port}", "--keys", str(keys)]
             service = world.stack.enter_context(ServiceProcess(request.folder, *options))
-            world.reach = {"connect": service.endpoint}
+            # whatever the environment says of another one
+            world.reach = {"connect": service.endpoint, "key_file": None, "tls": None}
             if link is not None:
                 proxy = UdpProxy(("127.0.0.1", port), link.up, link.down, seed=request.seed)
                 world.stack.enter_context(proxy)
-                world.reach = {"connect": f"udp/127.0.0.1:{proxy.port}", "key_file": keys}
+                world.reach |= {"connect": f"udp/127.0.0.1:{proxy.port}", "key_file": keys}
         world.start()
         undo.pop_all()
     return world

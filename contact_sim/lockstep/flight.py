@@ -47,7 +47,8 @@ BOOT_ID: Final = 1
 TICK_NS: Final = 20_000_000
 TURN_STEPS: Final = 2
 CAMERA_HZ: Final = 15.0
-LONGEST_S: Final = 180.0
+LONGEST_S: Final = 360.0
+"""Longer than a mission lets itself take, with its way back."""
 ARRIVAL_NS: Final = 85_000_000
 """Of an answer after its exposure, about: for the ablation that composes it with the pose then."""
 WARM_NS: Final = 500_000_000
@@ -91,6 +92,8 @@ class Flown:
     outcome: Outcome
     phase: Phase
     reason: Reason
+    given_back: bool
+    """The mission has ended; else time was up."""
     attempts: int
     transitions: tuple[Transition, ...]
     verdicts: dict[str, int]
@@ -177,8 +180,11 @@ class LockstepFlight:
             stream(seed, "worker"),
             self.settings.worker,
         )
-        self._pose = VehiclePose(self.vehicle.state, self._keep_pose, self._on_jump)
-        self._feed = OdometryFeed(self.vehicle, self.vehicle, self._on_jump)
+        believed = self.settings.parts.odometry
+        self._pose = VehiclePose(self.vehicle.state, self._keep_pose, self._on_jump, believed.jump)
+        self._feed = OdometryFeed(
+            self.vehicle, self.vehicle, self._on_jump, believed.vio_jump, believed.lidar
+        )
         self._camera_due_ns = 0
         self._camera: RgbdModel | None = None
         if self.eyes.needs_pictures:
@@ -244,6 +250,7 @@ class LockstepFlight:
             self.witness.outcome(self.simulation, TURN_STEPS * STEP_NS / 1e9),
             self.mission.phase,
             self.mission.reason,
+            self._given_back,
             self.mission.attempts,
             tuple(self.transitions),
             dict(Counter(r.judgement.verdict.value for r in self.receptions)),

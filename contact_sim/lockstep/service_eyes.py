@@ -17,10 +17,10 @@ from drone_client.encoding_choice import ChosenEncoding
 from drone_client.errors import ClientError
 from drone_client.link import Link
 from drone_client.link.choose import open_link
-from drone_client.settings import load_settings
+from drone_client.settings import default_settings
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.envelope import Kind, unseal
-from rgbd_wire.errors import DecodeError
+from rgbd_wire.errors import DecodeError, WireError
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.frame_codec import BEST, FrameStamp, compress, pack
 from rgbd_wire.geometry import Pose
@@ -49,9 +49,10 @@ class ServiceEyes:
         self._changed = threading.Condition()
         self._results: dict[int, Result] = {}
         try:
-            self._link: Link = open_link(load_settings(name=drone, connect=endpoint), self._clock)
+            reach = {"name": drone, "connect": endpoint}
+            self._link: Link = open_link(default_settings().model_copy(update=reach), self._clock)
             self._link.start(self._on_message, self._on_workers)
-        except ClientError as error:
+        except (ClientError, WireError) as error:
             raise ServiceError(str(error)) from None
         give_up = time.monotonic() + WORKER_S
         with self._changed:
@@ -78,7 +79,8 @@ class ServiceEyes:
         """What the worker says of a frame.
 
         Raises:
-            ServiceError: nothing, for too long, or there is no worker any more.
+            ServiceError: nothing, for too long, or that it did not look; or there is no worker
+                any more.
         """
         workers = self._link.workers()
         if not workers:
@@ -95,6 +97,9 @@ class ServiceEyes:
             if not self._changed.wait_for(lambda: number in self._results, ANSWER_S):
                 raise ServiceError(f"no answer to a frame within {ANSWER_S:g} s")
             result = self._results.pop(number)
+        if not result.outcome.looked_at:
+            # by the clock on the wall, or for what else it does: the flight would be another one
+            raise ServiceError(f"the service looked at no picture of a flight: {result.outcome}")
         # And not what was sent, in which a name or a number of one digit more is another flight
         sizes = Sizes.of_pictures(len(compressed.color), compressed.depth.size_bytes)
         return Look(result.outcome, result.target, sizes)

@@ -104,8 +104,8 @@ def film(run: Path, scene: Scene, path: Path, on_progress: Callable[[float], Non
         FilmError: it was not recorded, the video cannot be written, or somebody gave it up.
         RenderError: no OpenGL draws here without a screen.
     """
-    reel, _ = load_reel(run)
     try:
+        reel, _ = load_reel(run)
         draw_film(reel, scene, path, on_progress)
     except KeyboardInterrupt:
         raise FilmError(

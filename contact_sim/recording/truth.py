@@ -8,13 +8,12 @@ from typing import Any, Final
 from contact_sim.scene import Scene
 from contact_sim.simulation import Simulation
 from drone_client.line_writer import LineWriter
+from drone_client.run_files import TRUTH_NAME, WORLD_NAME
 from drone_client.viewing.whole_file import remove_if_empty
 from rgbd_wire.messages import pose_numbers
 
-TRUTH_NAME: Final = "truth.jsonl"
-WORLD_NAME: Final = "world.json"
-"""Which world it was flown in, also of a flight that was killed."""
 PERIOD_NS: Final = 33_000_000
+ON_DISK_S: Final = 5.0
 MAX_LINES: Final = 200_000
 """Two hours at that rate."""
 
@@ -23,14 +22,12 @@ class TruthWriter:
     """Looks at every turn of a simulation; nobody waits for it, nor for its disk."""
 
     def __init__(self, folder: Path) -> None:
-        self.problem: str | None = None
-        """Why not all of it was written."""
+        self._unopened: str | None = None
         self._path = folder / TRUTH_NAME
         self._world_path = folder / WORLD_NAME
         self._lines: LineWriter | None = None
         self._left = MAX_LINES
         self._due_ns = 0
-        self._force_n = 0.0
         self._written_ns = 0
         """Simulated time of the last line."""
 
@@ -39,7 +36,7 @@ class TruthWriter:
         try:
             self._lines = LineWriter({TRUTH_NAME: self._path, WORLD_NAME: self._world_path})
         except OSError as error:
-            self.problem = f"{self._path}: {error.strerror}"
+            self._unopened = f"{self._path}: {error.strerror}"
 
     def look(self, simulation: Simulation, now_ns: int) -> None:
         """Take the moment.
@@ -50,23 +47,29 @@ class TruthWriter:
         """
         if self._lines is None:
             return
-        truth = simulation.truth
-        self._force_n = max(self._force_n, truth.tip_force_n)
         if now_ns < self._due_ns or self._left <= 0:
             return
         self._left -= 1
         if self._due_ns == 0:
             self._lines.put(WORLD_NAME, _world(simulation.scene))
         self._due_ns = now_ns + PERIOD_NS
-        self._lines.put(TRUTH_NAME, truth_line(simulation, now_ns, self._force_n, self._written_ns))
-        self._force_n, self._written_ns = 0.0, simulation.t_ns
+        self._lines.put(TRUTH_NAME, truth_line(simulation, now_ns, self._written_ns))
+        self._written_ns = simulation.t_ns
+
+    def problem(self) -> str | None:
+        """Why not all of it so far was written; waits a moment for what is on its way."""
+        lines = self._lines
+        if lines is None:
+            return self._unopened
+        if not lines.on_disk(ON_DISK_S):
+            return f"{self._path}: the disk takes too long"
+        return f"{self._path}: {lines.lost} lines were not written" if lines.lost else None
 
     def close(self) -> None:
         """Write what is left."""
         if self._lines is not None:
             self._lines.close()
             if self._lines.lost:
-                self.problem = f"{self._path}: {self._lines.lost} lines were not written"
                 remove_if_empty(self._path)
                 remove_if_empty(self._world_path)
 
@@ -76,16 +79,14 @@ def _world(scene: Scene) -> dict[str, Any]:
     return {"world": scene.name, "seed": scene.seed, "board": scene.facts.get("board")}
 
 
-def truth_line(
-    simulation: Simulation, now_ns: int, force_n: float, since_ns: int = 0
-) -> dict[str, Any]:
+def truth_line(simulation: Simulation, now_ns: int, since_ns: int = 0) -> dict[str, Any]:
     """A line of ``truth.jsonl``.
 
     Args:
         simulation: between two steps.
         now_ns: drone's clock.
-        force_n: of the tip, the worst since the line before.
-        since_ns: simulated time of the line before: what touched after it is in this one.
+        since_ns: simulated time of the line before: what touched after it is in this one, and the
+            worst force of the tip.
     """
     truth, snapshot = simulation.truth, simulation.snapshot()
     return {
@@ -94,7 +95,7 @@ def truth_line(
         "world_from_body": list(pose_numbers(truth.world_from_body)),
         "world_from_target": list(pose_numbers(simulation.scene.world_from_target)),
         "velocity_mps": [round(v, 5) for v in truth.velocity_world.tolist()],
-        "tip_force_n": round(force_n, 4),
+        "tip_force_n": round(simulation.contacts.worst_tip_force_since(since_ns), 4),
         "arm_m": round(truth.arm_m, 6),
         "drift_m": round(simulation.drift_m, 5),
         "touches": [f"{part} on {other}" for part, other in simulation.contacts.since(since_ns)],

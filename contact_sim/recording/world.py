@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from contact_sim.errors import FilmError
-from contact_sim.recording.truth import WORLD_NAME
 from contact_sim.scene import Scene, build_scene
-from drone_client.run_report import SUMMARY_NAME
+from drone_client.run_files import SUMMARY_NAME, WORLD_NAME
 
 MAX_BYTES: Final = 10_000_000
 

@@ -30,6 +30,7 @@ model = mujoco.MjModel.from_xml_string("<mujoco/>")
 mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
 """
 _TRIAL_S = 60.0
+_PLATFORM = "PYOPENGL_PLATFORM"
 
 
 def open_context(width: int, height: int) -> Any:
@@ -38,8 +39,12 @@ def open_context(width: int, height: int) -> Any:
     Raises:
         RenderError: none works here; says what to install.
     """
-    module = importlib.import_module(_MODULES[choose_gl()])
-    return module.GLContext(width, height)
+    name = choose_gl()
+    try:
+        return importlib.import_module(_MODULES[name]).GLContext(width, height)
+    # what worked when it was tried is told all the same where it does not any more
+    except (RuntimeError, AttributeError, ImportError, OSError) as error:
+        raise RenderError(f"no OpenGL draws: {name} ({_short(error)}); {_INSTALL}") from None
 
 
 def load_mujoco() -> None:
@@ -84,6 +89,7 @@ def choose_gl() -> str:
         failure = _failure_of(name)
         if not failure:
             os.environ["MUJOCO_GL"] = name  # libmujoco reads it when it loads its GL
+            os.environ.pop(_PLATFORM, None)  # mujoco sets it, and breaks by another one
             return name
         failures.append(f"{name} ({failure})")
     asked = "as MUJOCO_GL asks" if wanted else "without a screen"
@@ -96,7 +102,7 @@ def _failure_of(name: str) -> str:
     Tried in a process of its own: one that fails leaves its half-loaded library behind, and then
     the next cannot be tried any more.
     """
-    environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"}
+    environment = {k: v for k, v in os.environ.items() if k != _PLATFORM}
     environment["MUJOCO_GL"] = name
     trial = [sys.executable, "-c", _TRIAL.format(module=_MODULES[name])]
     try:

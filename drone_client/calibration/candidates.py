@@ -11,7 +11,7 @@ from typing import Any, Final, Protocol
 import cv2
 
 from drone_client.errors import LinkError, SourceError
-from drone_client.ledger import LEDGER_NAME
+from drone_client.run_files import LEDGER_NAME
 from drone_client.source import Capture
 from drone_client.summary import read_lines
 from drone_client.truth import TruthEntry

@@ -27,13 +27,13 @@ from drone_client.fly.simulator import Simulator, SimulatorRequest, open_simulat
 from drone_client.fly.terminal import TerminalCockpit
 from drone_client.fly.truly import print_truth, unsafe
 from drone_client.fly.views import checked, told, write_views
-from drone_client.ledger import LEDGER_NAME
 from drone_client.link.choose import link_summary, open_link
 from drone_client.mission import Phase
 from drone_client.ros.names import Flavour
 from drone_client.ros.publish import open_ros, publish_accepted
+from drone_client.run_files import LEDGER_NAME
 from drone_client.run_report import check_folder
-from drone_client.settings import ClientSettings, about, load_settings
+from drone_client.settings import about, load_settings
 from drone_client.source.choose import REALSENSE
 from drone_client.summary import read_lines
 from drone_client.summary_table import print_summary
@@ -48,7 +48,6 @@ EXIT_NOT_DONE = 3
 EXIT_BROKEN_OFF = 130
 PX4_BOOT_S = 120.0
 """A PX4 that was started for the flight says where it is within this time."""
-DRONE = str(ClientSettings.model_fields["name"].default)
 OF_A_WORLD = ("seed", "board")
 """Options that no real flight has."""
 OF_A_ROBOT = ("source", "camera", "vio_topic", "lidar_topic", "ahead_topic")
@@ -215,9 +214,10 @@ def fly(
     body = _airframe(airframe, sim)
     _check_asked(asks=asks)
     check_folder(out, overwrite=overwrite)
-    settings_of = partial(
-        load_settings,
+    settings = load_settings(
         name=name,
+        connect=connect,
+        key_file=key_file,
         tau_max_ms=tau_max_ms,
         age_max_ms=age_max_ms,
         tls=tls,
@@ -227,8 +227,9 @@ def fly(
         ros_connect=ros_connect,
         ros_flavour=ros_flavour,
     )
-    reach: dict[str, Any] = {"connect": connect, "key_file": key_file}
-    settings = settings_of(**reach)
+    starts_service = sim is not None and "connect" not in settings.model_fields_set
+    if starts_service:
+        _check_reach(tls, key_file)
     parts = _tuned(flight_settings(settings), tuning)
     _with_keep_outs(parts, body, floor_m, ceiling_m)  # all mistakes before anything is started
     clock = MonotonicClock()
@@ -242,16 +243,17 @@ def fly(
                 seed,
                 board,
                 emulated_link,
-                name or DRONE,
+                settings.name,
                 out,
-                connect is None,
+                starts_service,
                 hil,
                 autopilot,
                 body,
+                parts.control.filter.funnel.r_c_m,
             )
             world = open_simulator(request, clock)
             stack.callback(world.close)
-            settings = settings_of(**(reach | world.reach))
+            settings = settings.model_copy(update=world.reach)
             parts = parts if tuning is not None else world.tuned(parts)
             floor_m, ceiling_m = _heights(world, floor_m, ceiling_m)
         parts = _with_keep_outs(parts, body, floor_m, ceiling_m)
@@ -300,7 +302,7 @@ def fly(
     else:
         print_summary(summary)
         print_truth(summary)
-    raise typer.Exit(_verdict(summary, out, console, shared=world is not None and connect is None))
+    raise typer.Exit(_verdict(summary, out, console, shared=starts_service))
 
 
 def _verdict(summary: dict[str, Any], out: Path, console: Console, *, shared: bool) -> int:
@@ -364,6 +366,16 @@ def _check(
         raise WorldError("--hil puts a PX4 into a simulated world: which one? --sim says it")
     if emulated_link is not None:
         raise WorldError("--link emulates a link for --sim; a real one is as it is")
+
+
+def _check_reach(tls: Path | None, key_file: Path | None) -> None:
+    """A service that is started for the flight is reached as its world says."""
+    for option, given in (("--tls", tls), ("--key-file", key_file)):
+        if given is not None:
+            raise WorldError(
+                f"{option} is for the service of --connect: the one that is started for a "
+                "simulated flight needs none"
+            )
 
 
 def _check_asked(*, asks: bool) -> None:

@@ -15,6 +15,7 @@ from typing import Any, Final, Protocol, cast
 
 from drone_client.airframe import Airframe
 from drone_client.autopilot import FlyingAutopilot
+from drone_client.cbf import Funnel
 from drone_client.errors import WorldError
 from drone_client.flight_settings import FlightSettings
 from drone_client.odometry.source import OdometrySource
@@ -47,6 +48,8 @@ class SimulatorRequest:
     """The client's address of that PX4."""
     airframe: Airframe = field(default_factory=Airframe)
     """Of the drone: what the client believes of it, the world has."""
+    mouth_m: float = Funnel().r_c_m
+    """Radius within which the tip may touch."""
 
 
 class Simulator(Protocol):

@@ -98,11 +98,16 @@ def check_file(option: str, path: Path, *, overwrite: bool) -> None:
     Raises:
         OutputError: it is there already and may not go, or its folder is not there.
     """
-    if path.is_dir():
+    try:
+        is_folder, is_there = path.is_dir(), path.exists()
+        has_folder = path.absolute().parent.is_dir()
+    except OSError as error:  # it may not be looked at, or no file has so long a name
+        raise OutputError(f"{option} {path}: {error.strerror}") from None
+    if is_folder:
         raise OutputError(f"{option} {path} is a folder: give the name of a file")
-    if path.exists() and not overwrite:
+    if is_there and not overwrite:
         raise OutputError(f"{option} {path} is there already: another name, or --overwrite")
-    if not path.absolute().parent.is_dir():
+    if not has_folder:
         raise OutputError(f"{option} {path}: there is no folder {path.parent}")
 
 

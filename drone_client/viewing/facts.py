@@ -18,7 +18,6 @@ from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import pose_numbers, pose_of
 from target_pose.target import load_target
 
-FACTS_NAME: Final = "flight.json"
 MAX_FACTS_BYTES: Final = 1_000_000
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from drone_client.gate import Verdict
+from drone_client.run_files import EVENTS_NAME, LEDGER_NAME, POSES_NAME, TICKS_NAME, TRUTH_NAME
 from rgbd_wire.geometry import Array, Pose
 from rgbd_wire.messages import pose_of
 
@@ -155,11 +156,11 @@ def truly(line: Line) -> Truly:
 
 
 READERS: Final[dict[str, Callable[[Line], Moment | None]]] = {
-    "poses.jsonl": moved,
-    "ledger.jsonl": settled,
-    "ticks.jsonl": ticked,
-    "events.jsonl": said,
-    "truth.jsonl": truly,
+    POSES_NAME: moved,
+    LEDGER_NAME: settled,
+    TICKS_NAME: ticked,
+    EVENTS_NAME: said,
+    TRUTH_NAME: truly,
 }
 """How the lines of each file are read."""
 

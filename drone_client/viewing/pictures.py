@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import threading
 from collections import deque
@@ -13,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drone_client.run_files import PICTURES_NAME, list_pictures
 from drone_client.viewing.whole_file import write_whole
 
-PICTURES_NAME: Final = "pictures"
 QUALITY: Final = 85
 MAX_WAITING: Final = 4
 """Pictures on their way to the disk; one that comes on top is left out."""
@@ -24,7 +23,6 @@ MAX_BYTES: Final = 4_000_000_000
 KEPT_BYTES: Final = 50_000_000
 """So much room on the disk is left to ledger and summary, which count more."""
 CLOSE_S: Final = 5.0
-_NAME = re.compile(r"(\d{1,19})\.jpg")
 
 
 class PictureWriter:
@@ -106,16 +104,3 @@ class PictureWriter:
     def _leave_out(self, why: str) -> None:
         self.left_out += 1
         self.problem = self.problem or why
-
-
-def list_pictures(folder: Path, after_ns: int = -1) -> list[tuple[Path, int]]:
-    """Files and times [ns] of a run's pictures that are newer than a time, the oldest first."""
-    found = []
-    try:
-        for path in (folder / PICTURES_NAME).iterdir():
-            match = _NAME.fullmatch(path.name)
-            if match is not None and int(match[1]) > after_ns:
-                found.append((path, int(match[1])))
-    except (FileNotFoundError, NotADirectoryError):
-        return []
-    return sorted(found, key=lambda picture: picture[1])

@@ -14,15 +14,15 @@ from typing import Any, Final
 
 from drone_client.autopilot import VehicleState
 from drone_client.line_writer import LineWriter
+from drone_client.run_files import FACTS_NAME, POSES_NAME
 from drone_client.source import Capture, LiveSource
-from drone_client.viewing.facts import FACTS_NAME, FlightFacts
+from drone_client.viewing.facts import FlightFacts
 from drone_client.viewing.live import Address, LiveView
 from drone_client.viewing.pictures import PictureWriter
 from drone_client.viewing.whole_file import remove_if_empty, write_whole
 from rgbd_wire.camera import RgbdCamera
 from rgbd_wire.messages import pose_numbers
 
-POSES_NAME: Final = "poses.jsonl"
 POSE_S: Final = 1 / 30
 JOIN_S: Final = 2.0
 

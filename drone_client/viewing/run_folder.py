@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from drone_client.errors import OutputError
-from drone_client.ledger import LEDGER_NAME
-from drone_client.viewing.facts import FACTS_NAME, FlightFacts, load_facts
+from drone_client.run_files import FACTS_NAME, LEDGER_NAME, list_pictures
+from drone_client.viewing.facts import FlightFacts, load_facts
 from drone_client.viewing.moments import READERS, Moment, Pictured
-from drone_client.viewing.pictures import list_pictures
 from rgbd_wire.errors import WireError
 
 MAX_LINE_BYTES: Final = 1_000_000

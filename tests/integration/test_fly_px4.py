@@ -22,8 +22,8 @@ from drone_client.flight_settings import flight_settings
 from drone_client.fly.cockpit import View
 from drone_client.fly.run import FlyOptions, fly
 from drone_client.fly.vehicle_pose import VehiclePose
-from drone_client.ledger import EVENTS_NAME, TICKS_NAME
 from drone_client.link.choose import open_link
+from drone_client.run_files import EVENTS_NAME, TICKS_NAME
 from drone_client.settings import ClientSettings
 from rgbd_wire.clock import MonotonicClock
 from rgbd_wire.geometry import Pose

@@ -19,6 +19,11 @@ import pytest
 from tests.flight_process import FLY, flight_process
 
 FLIGHT_S = 300.0
+LATE_SHARE, SLIPPED_S = 0.05, 0.2
+"""More late answers than that, or a world that fell so far behind: the machine was too slow."""
+VARIABLES = {"DRONE_NAME": "alpha", "DRONE_TLS": "/nowhere", "DRONE_KEY_FILE": "/nowhere"}
+"""Of the drone that usually flies from here: it keeps its name, and what is started for the flight
+is reached all the same."""
 GRAZED_M = 0.002
 """A flight that is aborted for late pictures may have brushed the mouth's edge: less than 1 N."""
 pytestmark = pytest.mark.timeout(400)
@@ -39,6 +44,14 @@ class Flown:
         return self.summary["phase"] == "done"
 
     @property
+    def late(self) -> bool:
+        """Whether answers or the world itself came too late to fly by."""
+        verdicts = self.summary["verdicts"]
+        late = sum(verdicts.get(name, 0) for name in ("too_old", "network_delay"))
+        slipped = self.truly["slipped_s"] > SLIPPED_S
+        return slipped or late > LATE_SHARE * sum(verdicts.values())
+
+    @property
     def truly(self) -> dict[str, Any]:
         return self.summary["simulated"]
 
@@ -48,7 +61,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
     folder = tmp_path_factory.mktemp("flight")
     out, log = folder / "run", folder / "log"
     options = "--sim", "tunnel", "--seed", "0", "--link", "wifi", "--json", "--out", str(out)
-    with flight_process(*FLY, *options, log=log) as flight:
+    with flight_process(*FLY, *options, log=log, variables=VARIABLES) as flight:
         code = flight.process.wait(FLIGHT_S)
         left = flight.left(5.0)
     return Flown(
@@ -63,6 +76,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
 def test_the_tip_alone_touches_and_nothing_is_pushed_beside_the_mouth(flown: Flown):
     """Whatever became of it: no propeller, no body, no wall, and never beside the mouth."""
     assert flown.truly["error"] is None, flown.said
+    assert flown.summary["drone"] == "alpha"
     assert flown.truly["collisions"] == []
     assert flown.truly["outside_m"] <= (0.0 if flown.done else GRAZED_M)
 
@@ -71,9 +85,7 @@ def test_it_comes_to_contact_and_back(flown: Flown):
     """Within 2 cm of the centre, gently; or it has been too slow, and says so."""
     if not flown.done:
         assert flown.code == 3
-        assert any(
-            word in flown.said for word in ("results were too old", "was last seen", "no worker")
-        ), flown.said
+        assert flown.late, flown.said
         pytest.skip(f"too slow for a flight in real time: {flown.said.splitlines()[-1]}")
     assert flown.code == 0, flown.said
     truly = flown.truly

@@ -33,11 +33,12 @@ from drone_client.airframe import Airframe
 from drone_client.autopilot.memory import MemoryAutopilot
 from drone_client.flight import Flight
 from drone_client.flight_settings import flight_settings
-from drone_client.ledger import TICKS_NAME, Ledger
+from drone_client.ledger import Ledger
 from drone_client.link.choose import open_link
 from drone_client.link.waiting import wait_for_worker
 from drone_client.playback import RealTime
 from drone_client.promptness import SWITCH_INTERVAL_S
+from drone_client.run_files import TICKS_NAME
 from drone_client.settings import ClientSettings
 from drone_client.source import Capture
 from drone_client.source.replay import ReplaySource, open_recording

@@ -5,7 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from contact_sim.chance import stream
+from contact_sim.lockstep.eyes import EyesSettings, ModelEyes
+from contact_sim.lockstep.flight import LockstepFlight, LockstepSettings
 from contact_sim.scene import Light, Scene
+from contact_sim.sensing import d455
 from contact_sim.sensing.imu import ImuSettings
 from contact_sim.sensing.vio import VioSettings
 from contact_sim.simulation import Simulation, SimulationSettings, Truth
@@ -14,6 +18,7 @@ from drone_client.autopilot import VehicleState
 from drone_client.control import ControlSettings, OnMission, decide
 from drone_client.mission import MissionSettings, Phase, Senses, Transition, begin
 from drone_client.target import TargetEstimate, TargetMeasurement, measure, update
+from link_emulator.profiles import PROFILES, Profile
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from rgbd_wire.geometry import Pose
 from tests.unit.drone_client.builders import pose
@@ -75,6 +80,24 @@ def simulation(
 ) -> Simulation:
     """A flight in the plain world."""
     return Simulation(plain_scene(start, turned_rad), AIRFRAME, RIG, seed, settings)
+
+
+def lockstep_flight(
+    seed: int = 0,
+    link: Profile = PROFILES["wifi"],
+    settings: LockstepSettings | None = None,
+    eyes: EyesSettings | None = None,
+) -> LockstepFlight:
+    """The client with model eyes, 1.2 m before touching the wall, aside and askew."""
+    rig = d455()
+    return LockstepFlight(
+        plain_scene((BOARD_X_M - REACH_M - 1.2, 0.1, HEIGHT_M), 0.1),
+        seed,
+        link,
+        lambda simulation: ModelEyes(rig.color, stream(seed, "eyes"), eyes),
+        rig,
+        settings,
+    )
 
 
 class Pilot:

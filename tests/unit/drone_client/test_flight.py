@@ -20,11 +20,11 @@ from drone_client.autopilot.memory import MemoryAutopilot
 from drone_client.errors import LinkError, SourceError
 from drone_client.flight import Flight
 from drone_client.flight_settings import FlightSettings, OdometrySettings, flight_settings
-from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME, Fate, Ledger
+from drone_client.ledger import Fate, Ledger
 from drone_client.link.memory import MemoryLink
 from drone_client.link.waiting import wait_for_worker
 from drone_client.replay import ReplayOptions, replay
-from drone_client.run_report import SUMMARY_NAME
+from drone_client.run_files import EVENTS_NAME, LEDGER_NAME, SUMMARY_NAME, TICKS_NAME
 from drone_client.settings import ClientSettings
 from drone_client.source import Capture
 from drone_client.source.memory import MemorySource

@@ -21,9 +21,9 @@ from drone_client.errors import AutopilotError, LinkError, SourceError
 from drone_client.flight_settings import flight_settings
 from drone_client.fly.cockpit import View
 from drone_client.fly.run import FlyOptions, fly
-from drone_client.ledger import EVENTS_NAME, TICKS_NAME
 from drone_client.link.memory import MemoryLink
 from drone_client.mission import Phase
+from drone_client.run_files import EVENTS_NAME, TICKS_NAME
 from drone_client.settings import ClientSettings
 from drone_client.source import Capture
 from drone_client.summary_table import summary_rows

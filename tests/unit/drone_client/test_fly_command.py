@@ -17,10 +17,11 @@ from drone_client.fly.cockpit import View
 from drone_client.fly.command import _heeding_hang_up
 from drone_client.fly.orders import Orders
 from drone_client.fly.terminal import TerminalCockpit, flight_lines
-from drone_client.ledger import LEDGER_NAME
 from drone_client.mission import Order
+from drone_client.run_files import LEDGER_NAME
 from drone_client.tally import Tally
 from rgbd_wire.clock import MonotonicClock
+from target_pose.errors import TargetError
 from tests.unit.drone_client.builders import pose
 
 AIRFRAME = str(Path(__file__).parents[3] / "examples" / "airframe.toml")
@@ -34,6 +35,7 @@ AIRFRAME = str(Path(__file__).parents[3] / "examples" / "airframe.toml")
         (("--yes", "--tuning", "nowhere.toml"), "tuning file nowhere.toml: No such file"),
         (("--yes", "--floor-m", "1e9"), "offset_m = 1000000000.0 is not in"),
         (("--yes", "--floor-m", "3", "--ceiling-m", "1"), "is not below --ceiling-m 1"),
+        (("--yes", "--onboard-target", "typo"), "typo"),
         (("--yes", "--source", "webcam"), "webcam: no camera that is known"),
         (("--yes", "--autopilot", "tcp/here:1"), "'tcp/here:1' is no address; such as"),
     ],
@@ -41,7 +43,7 @@ AIRFRAME = str(Path(__file__).parents[3] / "examples" / "airframe.toml")
 def test_a_mistake_is_told_before_anything_is_opened(arguments: tuple[str, ...], says: str):
     """One line each, of the place where the bound is at home."""
     result = CliRunner().invoke(app, ["fly", "--airframe", AIRFRAME, *arguments])
-    assert isinstance(result.exception, ClientError)
+    assert isinstance(result.exception, ClientError | TargetError)
     assert says in str(result.exception)
 
 
@@ -91,6 +93,10 @@ def test_a_simulated_flight_that_cannot_be_is_told_before_it_begins(
         (("--sim", "tunnel", "--airframe", "nowhere.toml"), "airframe file nowhere.toml: No such"),
         (("--sim", "tunnel", "--tuning", "nowhere.toml"), "tuning file nowhere.toml: No such"),
         (("--sim", "tunnel", "--tau-max-ms", "900"), "exceeds --age-max-ms"),
+        (("--sim", "tunnel", "--tls", "certificates"), "--tls is for the service of --connect"),
+        (("--sim", "tunnel", "--key-file", "k"), "--key-file is for the service of --connect"),
+        (("--sim", "tunnel", "--onboard-target", "typo"), "no target 'typo'"),
+        (("--sim", "tunnel", "--video", "x" * 300 + ".webm"), "File name too long"),
     ],
 )
 def test_what_does_not_go_together_is_told_before_a_world_is_built(
@@ -99,7 +105,7 @@ def test_what_does_not_go_together_is_told_before_a_world_is_built(
     """Nothing that was given is silently ignored; each line names the option at fault."""
     out = tmp_path / "run"
     result = CliRunner().invoke(app, ["fly", *arguments, "--out", str(out)])
-    assert isinstance(result.exception, ClientError)
+    assert isinstance(result.exception, ClientError | TargetError)
     assert says in str(result.exception)
     assert "building" not in result.stderr
     assert not out.exists()

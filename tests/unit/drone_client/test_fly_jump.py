@@ -14,12 +14,12 @@ import pytest
 from drone_client.flight_settings import OdometrySettings
 from drone_client.fly.cockpit import View
 from drone_client.fly.run import FlyOptions, fly
-from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, TICKS_NAME
 from drone_client.mission import Phase
 from drone_client.odometry import OdometrySample, RangeSample
 from drone_client.odometry.jump import JumpSettings
 from drone_client.odometry.lidar import LidarSettings
 from drone_client.odometry.source import MemoryOdometry
+from drone_client.run_files import EVENTS_NAME, LEDGER_NAME, TICKS_NAME
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import FrameHeader, pose_of
 from tests.unit.drone_client.builders import pose, target_of

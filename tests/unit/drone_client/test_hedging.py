@@ -11,8 +11,9 @@ from drone_client.airframe import Airframe
 from drone_client.autopilot.memory import MemoryAutopilot
 from drone_client.flight import Flight
 from drone_client.flight_settings import flight_settings
-from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, Ledger
+from drone_client.ledger import Ledger
 from drone_client.link.memory import MemoryLink
+from drone_client.run_files import EVENTS_NAME, LEDGER_NAME
 from drone_client.settings import ClientSettings
 from drone_client.under_way import FEW_ROUND_TRIPS
 from rgbd_wire.clock import MonotonicClock

@@ -12,14 +12,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from drone_client.errors import OutputError
-from drone_client.ledger import (
-    EVENTS_NAME,
-    LEDGER_NAME,
-    TICKS_NAME,
-    Fate,
-    FrameEntry,
-    Ledger,
-)
+from drone_client.ledger import Fate, FrameEntry, Ledger
+from drone_client.run_files import EVENTS_NAME, LEDGER_NAME, TICKS_NAME
 from tests.unit.drone_client.builders import eventually
 
 
@@ -243,6 +237,21 @@ def test_an_earlier_run_is_evidence_and_goes_only_when_told(tmp_path):
     assert (tmp_path / LEDGER_NAME).read_text() == before
     Ledger(tmp_path, overwrite=True).close()
     assert (tmp_path / LEDGER_NAME).read_text() == ""
+
+
+def test_an_earlier_run_goes_as_a_whole(tmp_path):
+    """What another kind of run wrote beside its ledger is no part of this one; the rest stays."""
+    of_a_run = [
+        *("truth.jsonl", "world.json", "poses.jsonl", "flight.json"),
+        *("summary.json", "run.png", "onboard.jsonl", "pictures/123.jpg"),
+    ]
+    others = ["edge-service.log", "flight.webm", "pictures/mine.jpg", "notes.txt"]
+    (tmp_path / "pictures").mkdir()
+    for name in [LEDGER_NAME, *of_a_run, *others]:
+        (tmp_path / name).write_text("of the earlier run")
+    Ledger(tmp_path, overwrite=True).close()
+    assert [name for name in of_a_run if (tmp_path / name).exists()] == []
+    assert [name for name in others if not (tmp_path / name).exists()] == []
 
 
 def test_looks_on_board_have_a_file_of_their_own_where_they_are_asked_for(tmp_path):

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from drone_client import own_eyes
-from drone_client.ledger import ONBOARD_NAME, Ledger
+from drone_client.ledger import Ledger
 from drone_client.lookout import Lookout, LookoutSettings
 from drone_client.onboard import LookVerdict
 from drone_client.own_eyes import OwnEyes
 from drone_client.reception import EdgeWord
+from drone_client.run_files import ONBOARD_NAME
 from drone_client.target import Source
 from tests.unit.drone_client import onboard_world as world
 from tests.unit.drone_client.builders import MS, SECOND, eventually

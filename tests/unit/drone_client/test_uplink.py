@@ -12,9 +12,10 @@ import pytest
 
 from drone_client.encoding_choice import EncodingChoice
 from drone_client.gate import SentFrame
-from drone_client.ledger import EVENTS_NAME, LEDGER_NAME, Fate, Ledger
+from drone_client.ledger import Fate, Ledger
 from drone_client.link.memory import MemoryLink
 from drone_client.rate_control import RateSettings
+from drone_client.run_files import EVENTS_NAME, LEDGER_NAME
 from drone_client.uplink import Uplink, UplinkSettings
 from drone_client.worker_choice import ranked
 from rgbd_wire.clock import ManualClock

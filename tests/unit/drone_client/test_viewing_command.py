@@ -34,6 +34,7 @@ def test_a_run_is_written_for_both(tmp_path: Path):
     [
         ((), "nothing to write: give --mcap, --rerun or --foxglove"),
         (("--mcap", "nowhere/a.mcap"), "there is no folder nowhere"),
+        (("--mcap", "m" * 300 + ".mcap"), "mcap: File name too long"),
         (("--mcap", "."), "is a folder: give the name of a file"),
         (("--foxglove", "here"), "--foxglove here: give PORT or HOST:PORT, such as 8765"),
         (("--foxglove", "70000"), "give PORT or HOST:PORT"),

@@ -13,9 +13,10 @@ import pytest
 
 from drone_client.autopilot import VehicleState
 from drone_client.line_writer import LineWriter
+from drone_client.run_files import list_pictures
 from drone_client.source import Capture
 from drone_client.viewing.facts import load_facts
-from drone_client.viewing.pictures import PictureWriter, list_pictures
+from drone_client.viewing.pictures import PictureWriter
 from drone_client.viewing.recorder import FlightRecorder
 from tests.unit.drone_client.view_builders import RIG, START_NS, body_at, facts
 

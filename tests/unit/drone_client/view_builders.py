@@ -10,8 +10,9 @@ import numpy as np
 
 from drone_client.airframe import Airframe
 from drone_client.cbf import Funnel
+from drone_client.run_files import FACTS_NAME
 from drone_client.settings import load_settings
-from drone_client.viewing.facts import FACTS_NAME, FlightFacts, facts_of
+from drone_client.viewing.facts import FlightFacts, facts_of
 from rgbd_wire.camera import CameraIntrinsics, RgbdCamera
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import pose_numbers

@@ -18,30 +18,19 @@ from contact_sim.campaign.faults import (
     load_faults,
     strikes,
 )
-from contact_sim.chance import stream
 from contact_sim.errors import CampaignError
-from contact_sim.lockstep.eyes import ModelEyes
-from contact_sim.lockstep.flight import LockstepFlight, LockstepSettings
+from contact_sim.lockstep.flight import LockstepSettings
 from contact_sim.scene import build_scene
-from contact_sim.sensing import d455
 from drone_client.mission import Phase
 from link_emulator.profiles import PROFILES
-from tests.unit.contact_sim.flights import BOARD_X_M, HEIGHT_M, REACH_M, plain_scene
+from tests.unit.contact_sim.flights import lockstep_flight
 
-RIG = d455()
 EXAMPLE = Path(__file__).parents[4] / "examples/faults.toml"
 
 
 def flown(fault: Fault, seed: int = 0, longest_s: float = 20.0):
     striker = Striker(fault, seed)
-    flight = LockstepFlight(
-        plain_scene((BOARD_X_M - REACH_M - 1.1, 0.0, HEIGHT_M)),
-        seed,
-        PROFILES["lan"],
-        lambda simulation: ModelEyes(RIG.color, stream(seed, "eyes")),
-        RIG,
-        LockstepSettings(longest_s=longest_s),
-    )
+    flight = lockstep_flight(seed, PROFILES["lan"], LockstepSettings(longest_s=longest_s))
     return striker, flight, flight.fly(striker)
 
 

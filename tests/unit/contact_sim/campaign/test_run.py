@@ -12,7 +12,15 @@ from typer.testing import CliRunner
 
 from contact_sim.campaign.faults import Fault, Kind
 from contact_sim.campaign.report import page, summary, wilson
-from contact_sim.campaign.row import NAMES, FlightRow, as_cells, failed_row, flight_row, from_cells
+from contact_sim.campaign.row import (
+    NAMES,
+    UNFINISHED,
+    FlightRow,
+    as_cells,
+    failed_row,
+    flight_row,
+    from_cells,
+)
 from contact_sim.campaign.run import Job, Table, ablated, fly_campaign, fly_job, plan, read_table
 from contact_sim.chance import stream
 from contact_sim.commands import app
@@ -23,6 +31,7 @@ from contact_sim.scene import build_scene
 from contact_sim.sensing import d455
 from drone_client.mission import Phase
 from link_emulator.profiles import PROFILES
+from tests.unit.contact_sim.flights import lockstep_flight
 
 ROW = FlightRow(
     world="tunnel",
@@ -190,13 +199,23 @@ def test_a_contact_that_was_none_is_told() -> None:
         world, 3, PROFILES["lan"], lambda s: ModelEyes(rig.color, stream(3, "eyes")), rig
     )
     flight.tick()
-    flown = flight.flown()
+    flown = replace(flight.flown(), given_back=True)
     assert not flown.outcome.touched
     row = flight_row(ROW.flight, replace(flown, phase=Phase.DONE), None, 1.0)
     assert (row.ends, row.touched) == ("false_contact", False)
     of = summary([row])
     assert (of["contact"], of["false_contact"]) == (0, 1)
     assert "took for contact what was none | 0 | 1 |" in page([row], "it", "")
+
+
+def test_a_flight_that_does_not_end_is_told() -> None:
+    """Wherever it is as time is up, it has not retreated."""
+    settings = LockstepSettings(longest_s=1.0)
+    flown = lockstep_flight(settings=settings).fly()
+    row = flight_row(ROW.flight, flown, None, 1.0)
+    assert (row.ends, row.safe) == (UNFINISHED, True)
+    of = summary([row])
+    assert (of["unfinished"], of["retreat"], of["no_approach"]) == (1, 0, 0)
 
 
 def test_when_nothing_can_be_flown_it_ends_early(tmp_path: Path) -> None:

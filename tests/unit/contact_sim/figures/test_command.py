@@ -9,7 +9,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from contact_sim.errors import FigureError
+from contact_sim.errors import FigureError, SimulatorError
 from contact_sim.figures import command
 from contact_sim.figures.bench import FigureBench
 from contact_sim.figures.catalogue import chosen
@@ -27,19 +27,22 @@ def app(monkeypatch, run: Run) -> typer.Typer:
     return app
 
 
-def test_a_figure_that_cannot_be_drawn_says_why_and_the_others_go_on(app, tmp_path):
+def test_a_figure_that_cannot_be_drawn_says_why_and_the_others_go_on(app, tmp_path, monkeypatch):
     """Exit code 3, and a page of what is there."""
-    table = tmp_path / "none.csv"
+
+    def fails(bench: FigureBench) -> None:
+        raise FigureError("a flight could not be flown")
+
+    monkeypatch.setattr(FigureBench, "many", property(fails))
     out, page = tmp_path / "figures", tmp_path / "figures.md"
     done = CliRunner().invoke(
         app,
-        ["contact-map", "barrier", "--table", str(table), "--out", str(out), "--page", str(page)]
-        + ["--json"],
+        ["contact-map", "barrier", "--out", str(out), "--page", str(page), "--json"],
     )
     assert done.exit_code == command.EXIT_INCOMPLETE
     result = json.loads(done.stdout)
     assert list(result["drawn"]) == ["barrier"]
-    assert "none.csv" in result["failed"]["contact-map"]
+    assert result["failed"]["contact-map"] == "a flight could not be flown"
     assert caption_of(out / "barrier.png") in page.read_text()
     assert not (out / "contact-map.png").exists()
 
@@ -58,6 +61,24 @@ def test_a_folder_that_takes_nothing_is_told_before_anything_is_flown(app, monke
         done = CliRunner().invoke(app, ["barrier", *options])
         assert isinstance(done.exception, FigureError)
         assert "cannot write /proc/x/" in str(done.exception)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--table", "none.csv"), "cannot read none.csv: No such file or directory"),
+        (("--service", "--connect", "tls/127.0.0.1:1"), "tls/127.0.0.1:1"),
+    ],
+)
+def test_a_table_or_a_service_that_is_not_there_is_told_before_anything_is_drawn(
+    app, tmp_path, monkeypatch, options, says
+):
+    """Not after the figures that need neither."""
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["barrier", "contact-map", "--out", "figures", *options])
+    assert isinstance(done.exception, SimulatorError)
+    assert says in str(done.exception)
+    assert list((tmp_path / "figures").iterdir()) == []
 
 
 def test_a_figure_says_what_draws_it_again(app, tmp_path, monkeypatch):

@@ -17,9 +17,7 @@ TAU_MAX_NS, AGE_MAX_NS = 250_000_000, 300_000_000
 
 
 def slow_run() -> Run:
-    return fly(
-        "slow", build_scene(gate.WORLD, gate.SEED), gate.SEED, before_tick=gate.SlowLink(gate.SEED)
-    )
+    return fly("slow", build_scene(gate.WORLD, gate.SEED), gate.SEED, before_tick=gate.SlowLink())
 
 
 def test_the_slow_link_is_refused_by_both_bounds_and_the_drone_backs_off_and_comes_again():

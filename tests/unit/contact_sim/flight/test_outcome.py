@@ -41,9 +41,16 @@ def test_a_push_beside_the_mouth_is_one() -> None:
     """Flown into the board 10 cm beside the centre: the place, the speed and the depth are told."""
     sim = simulation(start=(BOARD_X_M - REACH_M - 0.1, 0.1, HEIGHT_M))
     sim.set_velocity((0.08, 0.0, 0.0), 0.0)
-    outcome = watched(sim, 4.0).outcome(sim, TURN_S)
+    wider = Witness(WORLD_FROM_TARGET, mouth_m=0.2)
+    witness = Witness(WORLD_FROM_TARGET)
+    for _ in range(round(4.0 / TURN_S)):
+        sim.step(2)
+        witness.look(sim)
+        wider.look(sim)
+    outcome = witness.outcome(sim, TURN_S)
     assert outcome.touched
     assert outcome.offset_m == pytest.approx(0.1, abs=0.03)
+    assert wider.outcome(sim, TURN_S).safe  # a funnel that is tuned so lets it touch there
     assert outcome.touch_target_m[0] == pytest.approx(-0.1, abs=0.03)  # the board's left is -y
     assert outcome.closing_mps == pytest.approx(0.08, abs=0.04)
     assert outcome.outside_m > 0.002

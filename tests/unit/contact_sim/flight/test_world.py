@@ -73,3 +73,20 @@ def test_a_drone_that_touches_nothing_has_flown_safely(tmp_path):
     world = SimulatedWorld(SCENE, 0, ManualClock(0), tmp_path)
     report = world.report()
     assert (report["safe"], report["collisions"], report["touched"]) == (True, (), False)
+
+
+def test_a_sample_is_the_same_one_until_there_is_a_newer(tmp_path):
+    """Whoever looks twice knows that nothing is new; its stamp is the drone's clock."""
+    clock = ManualClock(7_000_000_000)
+    odometry = SimulatedWorld(SCENE, 0, clock, tmp_path).odometry
+    with odometry._live.look() as (simulation, offset_ns):
+        simulation.step(20)
+    for ask in (odometry.odometry, odometry.height, odometry.ahead):
+        sample = ask()
+        assert sample is not None
+        assert offset_ns < sample.t_ns <= offset_ns + 40_000_000
+        assert ask() is sample
+    with odometry._live.look() as (simulation, _):
+        simulation.step(20)
+    for ask, before in ((odometry.odometry, sample), (odometry.height, sample)):
+        assert ask().t_ns > before.t_ns

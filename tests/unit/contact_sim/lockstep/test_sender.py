@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from contact_sim.chance import stream
-from contact_sim.lockstep.eyes import EyesSettings, ModelEyes, Sizes
-from contact_sim.lockstep.flight import LockstepFlight, LockstepSettings
+from contact_sim.lockstep.eyes import EyesSettings, Sizes
+from contact_sim.lockstep.flight import LockstepSettings
 from contact_sim.lockstep.sender import Exposed, Sender
 from contact_sim.sensing import d455
 from drone_client.flight_settings import flight_settings
@@ -15,7 +14,7 @@ from link_emulator.impairments import Impairments
 from link_emulator.profiles import Profile
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.geometry import Pose
-from tests.unit.contact_sim.flights import BOARD_X_M, HEIGHT_M, REACH_M, plain_scene
+from tests.unit.contact_sim.flights import lockstep_flight
 
 MS = 1_000_000
 RIG = d455()
@@ -71,13 +70,8 @@ def test_what_is_too_old_does_not_leave() -> None:
 def test_on_a_slow_link_a_flight_sends_lean_frames() -> None:
     """3 Mbit/s: a frame as it is takes a quarter of a second; what leaves takes a third of that."""
     slow = Impairments(rate_mbit=3.0, delay_ms=5.0)
-    flight = LockstepFlight(
-        plain_scene((BOARD_X_M - REACH_M - 1.1, 0.0, HEIGHT_M)),
-        0,
-        Profile(slow, slow),
-        lambda simulation: ModelEyes(RIG.color, stream(0, "eyes"), EyesSettings(found=1.0)),
-        RIG,
-        LockstepSettings(longest_s=8.0),
+    flight = lockstep_flight(
+        0, Profile(slow, slow), LockstepSettings(longest_s=8.0), EyesSettings(found=1.0)
     )
     flown = flight.fly()
     delays = [r.judgement.network_delay_ns for r in flight.receptions]

@@ -7,16 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from contact_sim.chance import stream
-from contact_sim.lockstep.eyes import ModelEyes
-from contact_sim.lockstep.flight import LockstepFlight
 from contact_sim.lockstep.link_model import Passage
 from contact_sim.lockstep.worker import RESULT_BYTES
-from contact_sim.sensing import d455
 from link_emulator.profiles import PROFILES
-from tests.unit.contact_sim.flights import BOARD_X_M, HEIGHT_M, REACH_M, plain_scene
-
-RIG = d455()
+from tests.unit.contact_sim.flights import lockstep_flight
 
 
 class Sent(NamedTuple):
@@ -27,13 +21,7 @@ class Sent(NamedTuple):
 
 def sent_down(link: str, seconds: float = 12.0) -> list[Sent]:
     """What the worker of a flight sends."""
-    flight = LockstepFlight(
-        plain_scene((BOARD_X_M - REACH_M - 1.2, 0.1, HEIGHT_M), 0.1),
-        0,
-        PROFILES[link],
-        lambda simulation: ModelEyes(RIG.color, stream(0, "eyes")),
-        RIG,
-    )
+    flight = lockstep_flight(0, PROFILES[link])
     found: list[Sent] = []
     send = flight.link.down.send
 

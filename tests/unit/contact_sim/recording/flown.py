@@ -11,8 +11,9 @@ import numpy as np
 from contact_sim.recording.truth import TruthWriter
 from contact_sim.simulation import STEP_NS
 from drone_client.cbf import Funnel
+from drone_client.run_files import FACTS_NAME
 from drone_client.settings import load_settings
-from drone_client.viewing.facts import FACTS_NAME, facts_of
+from drone_client.viewing.facts import facts_of
 from rgbd_wire.messages import pose_numbers
 from tests.unit.contact_sim.flights import AIRFRAME, BOARD, RIG, simulation
 from tests.unit.drone_client.view_builders import write_lines
