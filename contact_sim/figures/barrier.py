@@ -103,7 +103,7 @@ def _of_certain(runs: tuple[Run, Run]) -> str:
             for h, when in zip(
                 least_certain(run), ("before contact ends", "after contact"), strict=True
             )
-            if h is not None and h < 0.0
+            if h is not None and round(1e3 * h) < 0
         ]
         if parts:
             words.append(f"to {' and '.join(parts)} in {run.label}")
