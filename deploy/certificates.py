@@ -292,8 +292,11 @@ def known_drones(folder: Path) -> list[str]:
     """Names of all drones that have a certificate here, of this run and of earlier ones."""
     names = []
     for path in sorted(folder.glob("*/cert.pem")):
-        certificate = x509.load_pem_x509_certificate(path.read_bytes())
-        uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        try:
+            certificate = x509.load_pem_x509_certificate(path.read_bytes())
+            uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        except (ValueError, OSError, x509.ExtensionNotFound):
+            continue  # somebody else's
         if ExtendedKeyUsageOID.SERVER_AUTH not in uses:
             names.append(path.parent.name)
     return names

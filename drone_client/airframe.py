@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from drone_client.cbf.keep_out import BodyPart, KeepOut, PlaneFrame
+from drone_client.cbf.keep_out import MAX_KEEP_OUTS, BodyPart, KeepOut, PlaneFrame
 from drone_client.cbf.keep_out_table import keep_outs_from
 from drone_client.errors import AirframeError
 from rgbd_wire.errors import GeometryError
@@ -70,12 +70,23 @@ class Airframe:
         return KeepOut("ceiling", self._parts, (0.0, 0.0, -1.0), -height_m, PlaneFrame.WORLD)
 
     def planes(self, floor_m: float | None, ceiling_m: float | None) -> tuple[KeepOut, ...]:
-        """Its own planes, with a floor and a ceiling where there are any [m]."""
-        return (
+        """Its own planes, with a floor and a ceiling where there are any [m].
+
+        Raises:
+            ValueError: a height is none, or there are more planes than the safety filter takes.
+        """
+        planes = (
             *self.keep_outs,
             *(() if floor_m is None else (self.floor(floor_m),)),
             *(() if ceiling_m is None else (self.ceiling(ceiling_m),)),
         )
+        if len(planes) > MAX_KEEP_OUTS:
+            raise ValueError(
+                f"{len(planes)} planes with floor and ceiling, and the safety filter takes "
+                f"{MAX_KEEP_OUTS}: leave out {len(planes) - MAX_KEEP_OUTS} [[keep_out]] of the "
+                "airframe"
+            )
+        return planes
 
     @property
     def _parts(self) -> tuple[BodyPart, ...]:
@@ -130,7 +141,7 @@ def _pose(raw: dict[str, Any], name: str, default: Pose) -> Pose:
         translation: Array = np.asarray(table["translation_m"], dtype=np.float64)
         q_wxyz: Array = np.asarray(table.get("q_wxyz", default.q_wxyz), dtype=np.float64)
         pose = Pose(translation, q_wxyz)
-    except (GeometryError, TypeError, ValueError) as error:
+    except (GeometryError, TypeError, ValueError, OverflowError) as error:
         raise AirframeError(f"[{name}]: {error}") from None
     if float(np.linalg.norm(pose.translation)) > MAX_ARM_M:
         raise AirframeError(

@@ -286,7 +286,9 @@ def main() -> None:
         sys.exit(2)
     except ModuleNotFoundError as error:
         _errors.print(
-            f"drone-client: package {error.name} is missing; install aerial-contact[drone]"
+            f"drone-client: package {error.name} is missing; install aerial-contact[drone]",
+            markup=False,
+            soft_wrap=True,
         )
         sys.exit(2)
     except KeyboardInterrupt:

@@ -23,6 +23,8 @@ from rgbd_wire.messages import Status
 REMEMBERED_STARTS = 8
 MAX_REMEMBERED = 64
 DEFAULT_ROUND_TRIP_NS = 20_000_000
+LATELY_NS = 1_000_000_000
+"""A worker that replied so lately is there."""
 """Of a worker that was not measured yet: neither the best nor the worst."""
 
 
@@ -64,13 +66,13 @@ class _Worker:
         "boot_id",
         "boot_ids",
         "draining",
+        "heard_ns",
         "missed",
         "overdue",
         "refused",
         "replied",
         "round_trip_ns",
         "service_ns",
-        "silent_since_ns",
         "status",
         "suspect",
         "until_ns",
@@ -91,8 +93,8 @@ class _Worker:
         """Answers in a row that turned a frame away."""
         self.replied = 0
         """Replies since it became suspect, in a row."""
-        self.silent_since_ns = 0
-        """When the first of the replies it misses was due."""
+        self.heard_ns: int | None = None
+        """When its last reply came."""
         self.boot_id: int | None = None
         self.status: Status | None = None
         self.round_trip_ns = DEFAULT_ROUND_TRIP_NS
@@ -172,7 +174,7 @@ class Roster:
             return
         if round_trip_ns is not None:
             w.round_trip_ns += (round_trip_ns - w.round_trip_ns) // 4
-        w.missed = 0
+        w.missed, w.heard_ns = 0, now_ns
         if not w.suspect:
             return
         w.replied += 1
@@ -196,12 +198,10 @@ class Roster:
         self._distrust(w, now_ns)
         return True
 
-    def missed(self, worker: str, due_ns: int) -> bool:
+    def missed(self, worker: str) -> bool:
         """A reply that was due did not come; True: that made the worker suspect."""
         if (w := self._workers.get(worker)) is None:
             return False
-        if w.missed == 0:
-            w.silent_since_ns = due_ns
         w.missed += 1
         w.replied = 0
         if w.suspect or w.missed < self._settings.misses:
@@ -257,13 +257,14 @@ class Roster:
         """The worker to send to; None if none is alive.
 
         The current one as long as it is willing and no other is much better for long: a change of
-        worker costs frames. A suspect is asked only where there is no other, the one heard of
-        last first; a full or a draining one when there is nobody else at all.
+        worker costs frames. A suspect is asked only where there is no other: one that
+        still replies, and rather one that turns frames away than one that leaves them, before the
+        one heard of last; a full or a draining one when there is nobody else at all.
         """
         willing = self._with(Standing.WILLING)
         if self._current not in willing:
             self._better_since_ns = None
-            self._current = self._best(willing) or self._least_suspect()
+            self._current = self._best(willing) or self._least_suspect(now_ns)
             return self._current
         best = min(willing, key=self.expected_delay_ns)
         if self._is_much_better(best):
@@ -291,17 +292,22 @@ class Roster:
         weights = {name: 1e9 / max(1_000_000, self.expected_delay_ns(name)) for name in names}
         return ranked(self._drone, weights)[0] if weights else None
 
-    def _least_suspect(self) -> str | None:
+    def _least_suspect(self, now_ns: int) -> str | None:
         suspects = self._with(Standing.SUSPECT)
         if not suspects:
             return self._best(self._with(Standing.FULL)) or self._best(
                 self._with(Standing.DRAINING)
             )
 
-        def heard_last(name: str) -> tuple[int, bool, str]:
-            return self._workers[name].silent_since_ns, name == self._current, name
+        def hope(name: str) -> tuple[bool, bool, int, bool, str]:
+            w, is_current = self._workers[name], name == self._current
+            heard_ns = -1 if w.heard_ns is None else w.heard_ns
+            replies = w.heard_ns is not None and now_ns - w.heard_ns <= LATELY_NS
+            looks = w.overdue < self._settings.misses
+            # of those that reply, the last word says nothing: each has it in turn
+            return replies, replies and looks, -1 if replies else heard_ns, is_current, name
 
-        return max(suspects, key=heard_last)
+        return max(suspects, key=hope)
 
     def _is_much_better(self, best: str) -> bool:
         assert self._current is not None

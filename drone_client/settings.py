@@ -25,7 +25,9 @@ TUNNEL_PREFIX = "udp/"
 class ClientSettings(BaseSettings):
     """Everything that can be set about a run of the client."""
 
-    model_config = SettingsConfigDict(env_prefix=ENV_PREFIX, frozen=True, extra="forbid")
+    model_config = SettingsConfigDict(
+        env_prefix=ENV_PREFIX, env_ignore_empty=True, frozen=True, extra="forbid"
+    )
 
     name: str = Field(
         "drone",
@@ -45,17 +47,23 @@ class ClientSettings(BaseSettings):
         None, description="folder with ca.pem, cert.pem and key.pem for tls/ endpoints"
     )
     tau_max_ms: float = Field(
-        FRAME.max_age_ms, gt=0, le=10_000, description="largest network delay d1+d2 [ms]"
+        FRAME.max_age_ms, ge=0.001, le=10_000, description="largest network delay d1+d2 [ms]"
     )
     age_max_ms: float = Field(
-        RESULT.max_age_ms, gt=0, le=10_000, description="largest age of a result on arrival [ms]"
+        RESULT.max_age_ms,
+        ge=0.001,
+        le=10_000,
+        description="largest age of a result on arrival [ms]",
     )
     window: int = Field(2, ge=1, le=16, description="frames in the network at most")
     ack_timeout_ms: float = Field(
-        500.0, gt=0, le=10_000, description="a frame's slot is freed by force after this [ms]"
+        500.0,
+        ge=0.001,
+        le=10_000,
+        description="a frame's slot is freed by force after this [ms]",
     )
     reply_timeout_ms: float = Field(
-        2000.0, gt=0, le=60_000, description="a frame counts as unanswered after this [ms]"
+        2000.0, ge=0.001, le=60_000, description="a frame counts as unanswered after this [ms]"
     )
     jpeg_quality: int = Field(
         DEFAULT_JPEG_QUALITY, ge=1, le=100, description="best JPEG quality of colour"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any, Final
 
@@ -75,17 +76,20 @@ def _send(
 ) -> tuple[int, bytes]:
     """Status and body of the service's answer, which is short."""
     content = b""
+    give_up = time.monotonic() + timeout_s
     try:
         with httpx.stream(
             method, f"{url.rstrip('/')}{path}", files=files, timeout=timeout_s
         ) as response:
             for chunk in response.iter_bytes(65_536):
                 content += chunk
+                if time.monotonic() > give_up:
+                    raise LinkError(f"{url} is still answering after {timeout_s:g} s")
                 if len(content) > MAX_ANSWER_BYTES:
                     raise LinkError(
                         f"{url} answered over {MAX_ANSWER_BYTES} bytes: no edge-service"
                     )
-    except (httpx.InvalidURL, httpx.UnsupportedProtocol):
+    except (httpx.InvalidURL, httpx.UnsupportedProtocol, UnicodeError):
         raise LinkError(f"address {url!r} is none, try http://127.0.0.1:8080") from None
     except httpx.HTTPError as error:
         reason = str(error) or type(error).__name__

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,7 @@ def load_tuning(path: Path, parts: FlightSettings) -> FlightSettings:
         return replace(parts, control=control, odometry=odometry)
     except OSError as error:
         raise TuningError(f"tuning file {path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, TuningError) as error:
+    except (ValueError, RecursionError, TuningError) as error:
         raise TuningError(f"tuning file {path}: {error}") from None
 
 
@@ -93,6 +94,7 @@ def _like(now: object, value: object, name: str) -> object:
     elif isinstance(now, int) and isinstance(value, int):
         return value
     elif isinstance(now, float) and isinstance(value, int | float):
-        return float(value)
+        with suppress(OverflowError):  # of a whole number without end
+            return float(value)
     wanted = {bool: "true or false", int: "a whole number", float: "a number"}
     raise TuningError(f"{name} = {value!r:.40} must be {wanted.get(type(now), 'left alone')}")

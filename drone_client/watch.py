@@ -71,6 +71,8 @@ class WorkerWatch:
         self._frames = FramesUnderWay(age_max_ns)
         self._missed_probes: dict[str, int] = {}
         self._worker: str | None = None
+        self._at_tick: str | None = None
+        """Whom frames went to at the last tick: one that was left since then is handed over."""
         self._events: list[tuple[str, dict[str, Any]]] = []
 
     @property
@@ -156,8 +158,8 @@ class WorkerWatch:
         actions = Actions()
         self._roster.see(live)
         self._count_misses(now_ns, live, actions)
-        before = self._worker
-        worker = self.choose(now_ns, live)
+        before = self._at_tick
+        self._at_tick = worker = self.choose(now_ns, live)
         if worker != before and before is not None:
             self._hand_over(now_ns, before, actions)
         elif self._hedge:
@@ -171,7 +173,7 @@ class WorkerWatch:
         for frame in self._frames.missing_acks(now_ns):
             worker = frame.workers[-1]
             self._events.append(("ack_missed", {"sequence": frame.sequence, "worker": worker}))
-            if self._roster.missed(worker, now_ns):
+            if self._roster.missed(worker):
                 suspects.append((worker, "no replies"))
         for frame in self._frames.too_old(now_ns):
             if frame.acked_by is not None and self._roster.overdue(frame.acked_by, now_ns):
@@ -179,7 +181,7 @@ class WorkerWatch:
         for worker in live:
             missed = self._prober.missed(worker, now_ns)
             for _ in range(missed - self._missed_probes.get(worker, 0)):
-                if self._roster.missed(worker, now_ns):
+                if self._roster.missed(worker):
                     suspects.append((worker, "no replies"))
             self._missed_probes[worker] = missed
         for worker in [w for w in self._missed_probes if w not in live]:

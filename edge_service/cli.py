@@ -57,9 +57,10 @@ Threads = Annotated[int | None, typer.Option(help="Detector threads; default: th
 
 def main() -> None:
     """Entry point: errors are one line on stderr and exit code 2."""
-    # Loading torch takes seconds, and as PID 1 of a container a process without a handler ignores
-    # SIGTERM. Until the service sets its own there is nothing to drain.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    if sys.argv[1:2] == ["serve"]:
+        # Loading torch takes seconds, and as PID 1 of a container a process without a handler
+        # ignores SIGTERM. Until the service sets its own there is nothing to drain.
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:
         app()
     except (EdgeError, TargetError, WireError) as error:

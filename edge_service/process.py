@@ -34,7 +34,13 @@ def serve(settings: EdgeSettings) -> int:
         AddressError, TlsFilesError, KeyFileError, WeightsError, TargetFileError,
         SelfCheckError: it cannot start.
     """
-    return asyncio.run(_serve(settings))
+    code = asyncio.run(_serve(settings))
+    if code == EXIT_STUCK:
+        # Somebody else's thread may wait for the one that hangs, and Python would wait for both
+        logging.shutdown()
+        sys.stdout.flush()
+        os._exit(code)
+    return code
 
 
 async def _serve(settings: EdgeSettings) -> int:

@@ -82,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     proxy.add_argument("protocol", choices=["udp", "tcp"])
     proxy.add_argument("--listen", type=_place, default=("127.0.0.1", 0), metavar="HOST:PORT")
     proxy.add_argument("--to", type=_place, required=True, metavar="HOST:PORT")
-    proxy.add_argument("--seconds", type=float, help="end after so long")
+    proxy.add_argument("--seconds", type=_seconds, help="end after so long")
     _link_options(proxy)
     change = actions.add_parser("change", help="a link that runs")
     change.add_argument("--control", type=Path, required=True, help="the socket it was given")
@@ -182,6 +182,13 @@ def _change(args: argparse.Namespace) -> int:
 def _print(report: Report, *, as_json: bool, to: Any = None) -> None:
     text = json.dumps(report.as_json(), indent=2) if as_json else str(report)
     print(text, file=to or sys.stderr)
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is no time")
+    return value
 
 
 def _place(text: str) -> tuple[str, int]:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from link_emulator.errors import ControlError
 from link_emulator.lane import Lane
 from link_emulator.loop import TURN, Loop
 from link_emulator.path import Path
@@ -36,12 +37,16 @@ class UdpRelay:
         server: host and port.
         up: path from clients to the server, which they share.
         down: path back.
+
+    Raises:
+        ControlError: there is no such server.
+        OSError: the address to listen at is not ours, or taken.
     """
 
     def __init__(
         self, listen: tuple[str, int], server: tuple[str, int], up: Path, down: Path
     ) -> None:
-        self._server = server
+        self._family, self._server = _resolved(*server)
         self._socket = _socket()
         self._socket.bind(listen)
         self._clients: OrderedDict[Any, _Client] = OrderedDict()
@@ -62,7 +67,10 @@ class UdpRelay:
                 data, address = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
             except OSError:  # nothing more, or an ICMP error of an earlier one
                 return
-            client = self._client(address)
+            try:
+                client = self._client(address)
+            except OSError:  # no descriptor left, or no way there: this one is lost, others come
+                continue
             self.up.offer((client, data), len(data) + HEADER_BYTES, time.monotonic_ns())
 
     def _client(self, address: Any) -> _Client:
@@ -72,8 +80,13 @@ class UdpRelay:
                 _, oldest = self._clients.popitem(last=False)
                 self.loop.remove(oldest.upstream.fileno())
                 oldest.upstream.close()
-            client = self._clients[address] = _Client(address, _socket())
-            client.upstream.connect(self._server)
+            upstream = _socket(self._family)
+            try:
+                upstream.connect(self._server)
+            except OSError:
+                upstream.close()
+                raise
+            client = self._clients[address] = _Client(address, upstream)
             self.loop.add(client.upstream.fileno(), self._on_server(client))
         self._clients.move_to_end(address)
         return client
@@ -104,8 +117,17 @@ class UdpRelay:
             return False
 
 
-def _socket() -> socket.socket:
-    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+def _resolved(host: str, port: int) -> tuple[int, Any]:
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or "no name of a host"
+        raise ControlError(f"--to {host}:{port}: {why}") from None
+    return family, address
+
+
+def _socket(family: int = socket.AF_INET) -> socket.socket:
+    made = socket.socket(family, socket.SOCK_DGRAM)
     made.setblocking(False)
     for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
         made.setsockopt(socket.SOL_SOCKET, option, BUFFER_BYTES)

@@ -48,8 +48,8 @@ class Intrinsics(_Message, frozen=True):
     fy: float
     cx: float
     cy: float
-    model: DistortionModel = "none"
-    coefficients: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    model: DistortionModel
+    coefficients: tuple[float, float, float, float, float]
 
 
 class FrameHeader(_Message, frozen=True):

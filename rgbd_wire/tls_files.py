@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import NameOID
 
@@ -61,7 +61,7 @@ def tls_files(folder: Path, now: datetime | None = None) -> TlsFiles:
     _check_key(key_path, certificate_path, certificate)
     try:
         certificate.verify_directly_issued_by(ca)
-    except (ValueError, TypeError, InvalidSignature):
+    except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm):
         raise TlsFilesError(
             f"{certificate_path} is not signed by the authority in {ca_path}; "
             "take both from the same run of scripts/certificates"
@@ -110,9 +110,12 @@ def _check_private(path: Path) -> None:
 def _check_key(path: Path, certificate_path: Path, certificate: x509.Certificate) -> None:
     try:
         key = serialization.load_pem_private_key(_read(path), password=None)
+        is_of_it = key.public_key() == certificate.public_key()
     except (ValueError, TypeError):
         raise TlsFilesError(f"{path} is not an unencrypted PEM private key; {_MAKE}") from None
-    if key.public_key() != certificate.public_key():
+    except UnsupportedAlgorithm:
+        raise TlsFilesError(f"{path} is a key of a kind that nobody here knows; {_MAKE}") from None
+    if not is_of_it:
         raise TlsFilesError(f"{path} is not the key of {certificate_path}; {_MAKE}")
 
 

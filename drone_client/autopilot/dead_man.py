@@ -16,6 +16,8 @@ from drone_client.autopilot import VelocityCommand
 from drone_client.cbf.vector import ZERO, Vec3
 
 NS_PER_MS = 1_000_000
+ROUNDING = 1.0 + 1e-6
+"""A command at the filter's own limit may be a little longer after it was turned."""
 
 
 class Refused(StrEnum):
@@ -107,9 +109,9 @@ def checked(
         return Refused.MALFORMED
     if not all(math.isfinite(c) for c in (x, y, z, yaw_rate)):
         return Refused.NOT_FINITE
-    if math.hypot(x, y, z) > settings.speed_max_mps:
+    if math.hypot(x, y, z) > settings.speed_max_mps * ROUNDING:
         return Refused.TOO_FAST
-    if abs(yaw_rate) > settings.yaw_rate_max_radps:
+    if abs(yaw_rate) > settings.yaw_rate_max_radps * ROUNDING:
         return Refused.TURNS_TOO_FAST
     if t_ns > now_ns + settings.future_max_ms * NS_PER_MS:
         return Refused.FROM_THE_FUTURE

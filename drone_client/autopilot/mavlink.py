@@ -41,6 +41,8 @@ JOIN_S = 2.0
 HEARTBEAT_NS = 1_000_000_000
 TIMESYNC_NS = 200_000_000
 ASK_RATES_NS = 2_000_000_000
+ASK_RATES = 5
+"""So often at most, once its pose comes: some autopilots do not answer."""
 """Rates are asked for again as long as no pose has come for this long."""
 PEER_SILENT_NS = 3_000_000_000
 """An autopilot that is heard stays where it is: another address counts only after this silence."""
@@ -97,6 +99,9 @@ class MavlinkAutopilot:
         self._heartbeat_ns: int | None = None
         self._timesync_ns: int | None = None
         self._rates_asked_ns: int | None = None
+        self._rates_asked = 0
+        self._rates_open = 0
+        """Questions of the last time that were not answered yet."""
         self._stopping = threading.Event()
         self._silent = threading.Event()
         self._silent.set()
@@ -125,7 +130,7 @@ class MavlinkAutopilot:
         """The newest state; None: never heard."""
         now_ns = self._clock.now_ns()
         with self._lock:
-            return self._vehicle.state(self._order.phase.value == "engaged", now_ns)
+            return self._vehicle.state(self._order.phase is Phase.ENGAGED, now_ns)
 
     def odometry(self) -> OdometrySample | None:
         """The autopilot's own estimate, with covariance and resets; None: it gave none yet."""
@@ -302,16 +307,19 @@ class MavlinkAutopilot:
         with self._lock:
             sample = self._vehicle.odometry
             flows = sample is not None and now_ns - sample.t_ns < ASK_RATES_NS
-            if flows and self._rates_asked_ns is not None:
+            settled = self._rates_open <= 0 or self._rates_asked >= ASK_RATES
+            if flows and self._rates_asked_ns is not None and settled:
                 return
             if self._peer_heard_ns is None or not _due(self._rates_asked_ns, now_ns, ASK_RATES_NS):
                 return
             self._rates_asked_ns = now_ns
+            self._rates_asked += 1
+            self._rates_open = len(self._flavour.rates_hz)
         for message_id, rate_hz in self._flavour.rates_hz.items():
             self._sender.to_vehicle(partial(messages.message_interval, message_id, rate_hz))
 
     def _mark_silence(self) -> None:
-        if self._order.phase.value == "silent":
+        if self._order.phase is Phase.SILENT:
             self._silent.set()
         else:
             self._silent.clear()
@@ -400,6 +408,9 @@ class MavlinkAutopilot:
         for_us = (message.target_system in (0, self._sender.own_system)) and (
             message.target_component in (0, self._settings.own_component)
         )
+        if message.command == mav.MAV_CMD_SET_MESSAGE_INTERVAL and for_us:
+            with self._lock:
+                self._rates_open -= 1
         if message.command != mav.MAV_CMD_DO_SET_MODE or not for_us:
             return
         if message.result != mav.MAV_RESULT_IN_PROGRESS:

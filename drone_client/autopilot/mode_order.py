@@ -32,7 +32,8 @@ class Phase(StrEnum):
     ENGAGED = "engaged"
     """The commands are flown."""
     LEAVING = "leaving"
-    """Zero velocities flow, and the mode that holds the position is asked for."""
+    """Zero velocities flow, and the mode that holds the position is asked for, if the vehicle is
+    in the one that was taken: a question that is still under way may take it yet."""
 
 
 class Flow(StrEnum):
@@ -155,7 +156,7 @@ class ModeOrder:
             return
         took = self._heard is not None and self._heard.mode == self._mode
         if took or (self.phase is Phase.ASKING and self._asked):
-            self._enter(Phase.LEAVING, now_ns, "asks for the mode that holds the position")
+            self._enter(Phase.LEAVING, now_ns, "gives the vehicle back")
         else:
             self._enter(Phase.SILENT, now_ns, "released")
 
@@ -178,7 +179,7 @@ class ModeOrder:
                 self._enter(Phase.SILENT, heard.t_ns, "disarmed")
             case Phase.ENGAGED:
                 self._was_armed = heard.armed
-            case Phase.LEAVING if not in_mode and before is not None and before.mode == self._mode:
+            case Phase.LEAVING if not in_mode and before is not None and heard.mode != before.mode:
                 self._enter(Phase.SILENT, heard.t_ns, f"released: {heard.mode}")
             case _:
                 pass
@@ -243,10 +244,15 @@ class ModeOrder:
         return Step(Flow.ZERO, self._question(Ask.TAKE, now_ns))
 
     def _ask_to_hold(self, now_ns: int) -> Step:
-        left = self._heard is not None and self._heard.mode != self._mode
-        if left and self._asked and now_ns - self._since_ns > self._settings.retry_ms * NS_PER_MS:
-            # Left while it was still asked for; that question has been answered by now
-            return self._fall_silent(now_ns, "released")
+        heard = self._heard
+        if heard is not None and heard.mode != self._mode:
+            # Never ours, or not any more: whatever it flies is somebody else's, and is not asked
+            # to hold. What was asked for before has been answered by now
+            if heard.t_ns - self._since_ns >= self._settings.retry_ms * NS_PER_MS:
+                return self._fall_silent(now_ns, "released")
+            if not self._fresh(now_ns):
+                return self._fall_silent(now_ns, "no heartbeat of the autopilot")
+            return Step(Flow.ZERO)
         if self._overdue(now_ns) or not self._fresh(now_ns):
             return self._fall_silent(now_ns, "no answer to hold: left to the autopilot's failsafe")
         if not self._may_ask(now_ns):

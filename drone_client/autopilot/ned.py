@@ -68,13 +68,17 @@ def triangle_from_covariance(covariance: Array) -> list[float]:
 def covariance_from_triangle(triangle: Sequence[float]) -> Array | None:
     """Covariance (6, 6) in ENU of MAVLink's 21 numbers in NED; None: it is not said.
 
-    A first number that is not finite stands for "not known"; so does any other that is not.
+    A variance that is not finite stands for "not known". PX4 sends the six variances alone, and
+    NaN for all that lies beside them: nothing is known to go together.
     """
     upper = np.asarray(triangle, dtype=np.float64)
-    if upper.shape != (21,) or not np.isfinite(upper).all():
+    if upper.shape != (21,):
         return None
     full = np.zeros((6, 6))
     full[TRIANGLE] = upper
+    if not np.isfinite(np.diag(full)).all():
+        return None
+    full[~np.isfinite(full)] = 0.0
     full = full + full.T - np.diag(np.diag(full))
     return _swap_covariance(full)
 

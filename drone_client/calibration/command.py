@@ -22,8 +22,8 @@ from drone_client.calibration.report import (
 )
 from drone_client.calibration.sighting import Miss, Sighting, sight
 from drone_client.calibration.verdicts import Finding, judge
-from drone_client.errors import ClientError
-from drone_client.source import Recording
+from drone_client.errors import ClientError, SourceError
+from drone_client.source import Recording, stride
 from drone_client.source.choose import open_recorded
 from drone_client.truth import load_truth
 from target_pose.errors import TargetError
@@ -90,6 +90,12 @@ def calibrate(
     where = _where(source, printed, worker, run, truth, timeout_s)
     name = Path(recording).resolve().name
     found = look(source, where, printed, frames, _progress(escape(name)))
+    if truth is not None and source.notes:
+        # one picture that was left out, and each after it would have had its neighbour's pose
+        raise SourceError(
+            "not all of the recording could be read, and --truth knows its poses by their numbers: "
+            + "; ".join(source.notes)
+        )
     sightings = tuple(s for s in found if isinstance(s, Sighting))
     misses = tuple(m for m in found if isinstance(m, Miss))
     judgement = judge(sightings, source.camera, printed)
@@ -112,8 +118,8 @@ def look(
     on_frame: Callable[[int], None] = lambda done: None,
 ) -> list[Sighting | Miss]:
     """What each of some frames of a recording says."""
-    step = max(1, -(-len(source) // at_most))
-    total = -(-len(source) // step)
+    step = stride(len(source), at_most)
+    total = len(range(0, len(source), step))
     found: list[Sighting | Miss] = []
     bar = Progress(disable=True) if progress is None else progress
     with bar:

@@ -125,9 +125,10 @@ def doctor(
 ) -> None:
     """Check a drone before a flight: machine, files, vehicle, odometry, camera, service.
 
-    Nothing moves and nothing is changed: the vehicle is listened to and asked for its parameters,
-    workers are probed, a camera runs for three seconds. All at once, in about fifteen seconds; what
-    fails or hangs is a line like any other.
+    Nothing moves: the vehicle is asked for its parameters, for the time, and to send what a flight
+    needs as often as a flight needs it, which it does until it is switched off; workers are probed,
+    a camera runs for three seconds. All at once, in about fifteen seconds; what fails or hangs is a
+    line like any other.
 
     Exit code 0: nothing is at fault. 1: something is.
 

@@ -275,7 +275,8 @@ def _clock(facts: VehicleFacts) -> Check:
             "time sync",
             Finding.WARNING,
             "the autopilot's clock is not known yet",
-            "wait a minute; does it answer TIMESYNC? Poses are stamped on arrival until then",
+            "wait a minute; does it answer TIMESYNC? Until then no pose of it can be used, for "
+            "nobody knows of when it is",
         )
     return judged(
         AREA,

@@ -33,7 +33,7 @@ from drone_client.ros.names import Flavour
 from drone_client.ros.publish import open_ros, publish_accepted
 from drone_client.run_files import LEDGER_NAME
 from drone_client.run_report import check_folder
-from drone_client.settings import about, load_settings
+from drone_client.settings import ClientSettings, about, load_settings
 from drone_client.source.choose import REALSENSE
 from drone_client.summary import read_lines
 from drone_client.summary_table import print_summary
@@ -155,7 +155,8 @@ def fly(
         typer.Option(help="ROS 2 topic of a lidar that looks ahead (sensor_msgs/Range)"),
     ] = None,
     wait_for_vehicle_s: Annotated[
-        float, typer.Option(min=0.1, max=600, help="how long to wait for the autopilot's pose")
+        float,
+        typer.Option(min=0.1, max=600, help="how long to wait for the autopilot's pose"),
     ] = 10.0,
     plot: Annotated[
         bool, typer.Option("--plot/--no-plot", help="draw run.png beside the ledger")
@@ -227,9 +228,7 @@ def fly(
         ros_connect=ros_connect,
         ros_flavour=ros_flavour,
     )
-    starts_service = sim is not None and "connect" not in settings.model_fields_set
-    if starts_service:
-        _check_reach(tls, key_file)
+    starts_service = sim is not None and _needs_service(settings, tls, key_file)
     parts = _tuned(flight_settings(settings), tuning)
     _with_keep_outs(parts, body, floor_m, ceiling_m)  # all mistakes before anything is started
     clock = MonotonicClock()
@@ -282,6 +281,7 @@ def fly(
             pictures=views.wants_pictures,
             live=views.live,
         )
+        stack.callback(recorder.close)
         summary = run_fly(
             recorder,
             robot.vehicle,
@@ -368,14 +368,17 @@ def _check(
         raise WorldError("--link emulates a link for --sim; a real one is as it is")
 
 
-def _check_reach(tls: Path | None, key_file: Path | None) -> None:
-    """A service that is started for the flight is reached as its world says."""
+def _needs_service(settings: ClientSettings, tls: Path | None, key_file: Path | None) -> bool:
+    """Whether one has to be started for a simulated flight: nobody named one that runs."""
+    if "connect" in settings.model_fields_set:
+        return False
     for option, given in (("--tls", tls), ("--key-file", key_file)):
         if given is not None:
             raise WorldError(
                 f"{option} is for the service of --connect: the one that is started for a "
                 "simulated flight needs none"
             )
+    return True
 
 
 def _check_asked(*, asks: bool) -> None:

@@ -28,7 +28,7 @@ def diagnose(endpoint: str, tls: TlsFiles | None = None, timeout_s: float = KNOC
     host = host.strip("[]")
     try:
         knocking = socket.create_connection((host, int(port)), timeout=timeout_s)
-    except socket.gaierror:
+    except (socket.gaierror, UnicodeError):
         return f"{endpoint}: there is no host called {host}"
     except TimeoutError:
         return f"{endpoint}: no answer within {timeout_s:g} s: is the host up, a firewall between?"

@@ -68,6 +68,8 @@ class OdometryFeed:
         """One tick at a time, its callbacks included: samples stay in order."""
         self._lock = threading.Lock()
         """Of what is counted; never held while somebody is called."""
+        self._passed_ns: int | None = None
+        """Stamp of the newest sample that was passed on."""
         self._resets = 0
         self._odometry: OdometrySample | None = None
         self._ranges: dict[str, RangeSample] = {}
@@ -81,10 +83,13 @@ class OdometryFeed:
             return self.ahead.forward_m(now_ns)
 
     def silent(self, now_ns: int) -> bool:
-        """Whether a VIO that was heard before is not heard any more. One that was never is not."""
+        """Whether nothing of the VIO can be passed on any more; False before anything was.
+
+        One that speaks on but has diverged is as good as silent.
+        """
         with self._lock:
-            newest = self._watch.newest
-        return newest is not None and now_ns - newest.t_ns > SILENT_NS
+            passed_ns = self._passed_ns
+        return passed_ns is not None and now_ns - passed_ns > SILENT_NS
 
     def counts(self) -> dict[str, int]:
         """What was given and what was not, for the summary."""
@@ -105,7 +110,9 @@ class OdometryFeed:
         with self._lock:
             jump = self._watch.see(motion)
             usable = self._watch.newest is motion  # else it came late, or is no number
-            self.given += usable
+            if usable:
+                self.given += 1
+                self._passed_ns = motion.t_ns
         if jump is not None:
             self._resets += 1
             self._on_jump(jump)

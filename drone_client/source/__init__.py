@@ -91,3 +91,8 @@ class LiveSource(Protocol):
     def stop(self) -> None:
         """Stop and close the camera; also when it never ran."""
         ...
+
+
+def stride(count: int, at_most: int) -> int:
+    """From one capture to the next where ``at_most`` of ``count`` are taken, spread evenly."""
+    return max(1, -(-count // at_most))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from drone_client.airframe import Airframe
 from drone_client.errors import SourceError
 from drone_client.pose_buffer import PoseBuffer
-from drone_client.source import Capture
+from drone_client.source import Capture, stride
 from drone_client.source.bag_camera import camera_of_bag
 from drone_client.source.bag_file import BagFile, RawMessage
 from drone_client.source.bag_poses import read_poses
@@ -113,7 +113,7 @@ class BagSource:
     def some_captures(self, at_most: int) -> Iterator[Capture]:
         """So many of the captures, spread evenly; the others are not even decoded."""
         self._bad.clear()
-        step = max(1, -(-self._count // at_most))
+        step = stride(self._count, at_most)
         return self._loaded(islice(self._pairs(), 0, None, step))
 
     def world_from_camera(self, t_source_ns: int) -> Pose | None:

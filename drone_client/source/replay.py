@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from drone_client.errors import SourceError
 from drone_client.pose_buffer import PoseBuffer
-from drone_client.source import Capture
+from drone_client.source import Capture, stride
 from drone_client.source.pairing import pair_lists
 from rgbd_wire.camera import RgbdCamera, load_camera
 from rgbd_wire.errors import GeometryError
@@ -74,7 +74,7 @@ class ReplaySource:
 
     def some_captures(self, at_most: int) -> Iterator[Capture]:
         """So many of the captures, spread evenly; the others are not even read."""
-        step = max(1, -(-len(self._pairs) // at_most))
+        step = stride(len(self._pairs), at_most)
         return map(self._load, self._pairs[::step])
 
     def world_from_camera(self, t_source_ns: int) -> Pose | None:

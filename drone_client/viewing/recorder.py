@@ -99,8 +99,13 @@ class FlightRecorder:
         return self._source.counts()
 
     def stop(self) -> None:
-        """Stop the camera, close the files, end the live view."""
+        """Stop the camera, which may take as long as it likes; the files are ``close``'s."""
         self._source.stop()
+
+    def close(self) -> None:
+        """Close the files, end the live view: what a slow disk has not taken in time is lost."""
+        if self._stopping.is_set():
+            return
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join(JOIN_S)
@@ -114,7 +119,8 @@ class FlightRecorder:
             self._live.close()
 
     def report(self) -> dict[str, Any]:
-        """What was written, and what was not."""
+        """What was written, and what was not; whatever comes from now on is not written."""
+        self.close()
         problems = list(self._problems)
         lines, pictures, live = self._lines, self._pictures, self._live
         if lines is not None and lines.lost:

@@ -10,8 +10,7 @@ import uvicorn
 from fastapi import FastAPI
 
 from edge_service.errors import AddressError
-
-MAX_CONNECTIONS = 128
+from edge_service.http.connections import MAX_CONNECTIONS, BoundedProtocol
 
 
 class HttpServer(uvicorn.Server):
@@ -24,7 +23,7 @@ class HttpServer(uvicorn.Server):
             access_log=False,
             lifespan="off",
             server_header=False,
-            limit_concurrency=MAX_CONNECTIONS,
+            http=BoundedProtocol,
             timeout_graceful_shutdown=2,
         )
         super().__init__(config)
@@ -46,15 +45,17 @@ def bind(host: str, port: int) -> socket.socket:
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
         listener = socket.socket(family, kind, protocol)
+    except UnicodeError:  # a label of a name that is empty, or too long
+        raise AddressError(_sentence(host, port, "no name of a host")) from None
     except OSError as error:
-        raise AddressError(_sentence(host, port, error)) from None
+        raise AddressError(_sentence(host, port, error.strerror)) from None
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
         listener.listen(MAX_CONNECTIONS)
     except OSError as error:
         listener.close()
-        raise AddressError(_sentence(host, port, error)) from None
+        raise AddressError(_sentence(host, port, error.strerror)) from None
     return listener
 
 
@@ -64,5 +65,5 @@ def url_of(listener: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def _sentence(host: str, port: int, error: OSError) -> str:
-    return f"HTTP on {host}:{port}: {error.strerror}; give another address with --http or EDGE_HTTP"
+def _sentence(host: str, port: int, why: str | None) -> str:
+    return f"HTTP on {host}:{port}: {why}; give another address with --http or EDGE_HTTP"

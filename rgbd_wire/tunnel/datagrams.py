@@ -119,9 +119,12 @@ def bind_datagrams(host: str, port: int) -> DatagramSocket:
     Raises:
         OSError: it is no address, not ours, or taken.
     """
-    family, _, _, _, address = socket.getaddrinfo(
-        host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
-    )[0]
+    try:
+        family, _, _, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
+        )[0]
+    except UnicodeError as error:  # a label of a name that is empty, or too long
+        raise OSError(f"not a host name ({error})") from None
     return _with(socket.socket(family, socket.SOCK_DGRAM), lambda s: s.bind(address))
 
 

@@ -118,6 +118,7 @@ class KeyFile:
         self._mark = self._look()
         self._keys = load_keys(path)
         self._checked_ns: int | None = None
+        self._told: tuple[int, ...] | None = self._mark
 
     def __len__(self) -> int:
         """How many drones have a key."""
@@ -135,12 +136,15 @@ class KeyFile:
         mark = self._look()
         if mark == self._mark:
             return False
-        self._mark = mark
         try:
             keys = load_keys(self._path)
         except KeyFileError as error:
-            _log.error("the keys stay as they were: %s", error)
+            # tried again, for it may be the machine that could not; told once for each change
+            if mark != self._told:
+                _log.error("the keys stay as they were: %s", error)
+            self._told = mark
             return False
+        self._mark = mark
         changed = keys != self._keys
         self._keys = keys
         return changed

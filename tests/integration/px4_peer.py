@@ -161,6 +161,8 @@ class Peer:
     def on_command_long(self, message):
         if message.command == m.MAV_CMD_DO_SET_MODE:
             self.do_set_mode(message)
+        elif message.command == m.MAV_CMD_SET_MESSAGE_INTERVAL and self.options.lose_rates > 0:
+            self.options.lose_rates -= 1
         elif message.command == m.MAV_CMD_SET_MESSAGE_INTERVAL:
             self.report["intervals"][str(int(message.param1))] = message.param2
             if int(message.param1) == m.MAVLINK_MSG_ID_HEARTBEAT:
@@ -305,7 +307,8 @@ class Peer:
                     nan,
                     nan,
                     nan,
-                    [1e-4] + [0.0] * 20,
+                    # PX4 sends the variances alone (streams/ODOMETRY.hpp)
+                    [1e-4 if i in (0, 6, 11, 15, 18, 20) else math.nan for i in range(21)],
                     [nan] * 21,
                     7,
                     m.MAV_ESTIMATOR_TYPE_AUTOPILOT,
@@ -394,6 +397,7 @@ def main():
     parser.add_argument("--boot-age", type=float, default=1000.0)
     parser.add_argument("--refuse", type=int, default=0)
     parser.add_argument("--lose-acks", type=int, default=0)
+    parser.add_argument("--lose-rates", type=int, default=0)
     options = parser.parse_args()
     options.clock_offset = options.boot_age - time.monotonic()
     peer = Peer(options)

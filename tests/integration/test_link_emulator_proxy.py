@@ -117,6 +117,15 @@ def test_udp_clients_get_their_own_answers() -> None:
         assert (one.recv(9), other.recv(9)) == (b"one", b"other")
 
 
+def test_udp_goes_on_where_a_client_cannot_be_served() -> None:
+    """A server of another family: nothing reaches it, and the relay lives."""
+    with UdpProxy(("::1", 1)) as proxy, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        for _ in range(3):
+            client.sendto(b"x", (HERE, proxy.port))
+            time.sleep(0.05)
+        assert proxy.control.report() is not None
+
+
 def test_udp_loss_and_cut_are_counted() -> None:
     """All is lost, then all is cut, then all is well."""
     with udp_echo() as server, UdpProxy(server, Impairments(loss=1), Impairments()) as proxy:
@@ -281,6 +290,8 @@ def test_mistake_of_a_user_ends_in_one_line() -> None:
         (["run", "--loss", "2", "--", "true"], "loss is 2"),
         (["run"], "nothing to run"),
         (["change", "--control", "/nowhere", "--cut"], "no relay at /nowhere"),
+        (["proxy", "udp", "--to", "a..b:7448"], "--to a..b:7448: no name of a host"),
+        (["proxy", "udp", "--to", "nosuchhost.invalid:7448"], "--to nosuchhost.invalid:7448: "),
     ):
         done = subprocess.run(
             [sys.executable, "-m", "link_emulator", *arguments],

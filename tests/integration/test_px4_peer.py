@@ -19,6 +19,7 @@ import pytest
 
 from drone_client.autopilot import VelocityCommand
 from drone_client.autopilot.choose import open_autopilot
+from drone_client.autopilot.px4 import PX4
 from drone_client.autopilot.settings import AutopilotSettings
 from drone_client.odometry import OdometrySample, RangeSample
 from rgbd_wire.clock import MonotonicClock
@@ -132,6 +133,16 @@ def test_a_refusal_is_asked_again_and_a_lost_answer_does_no_harm() -> None:
         assert [r[2] for r in report["set_mode_requests"][:3]] == [1, 1, 0]
         assert len(report["set_mode_requests"]) <= 6
         assert report["violations"] == []
+    finally:
+        pair.close()
+
+
+def test_lost_questions_for_rates_are_asked_again() -> None:
+    """A pose that comes by itself is not enough: every message has its rate in the end."""
+    pair = Pair("--lose-rates", "7")
+    try:
+        asked = {str(number) for number in PX4.rates_hz}
+        until(lambda: set(pair.peer.report()["intervals"]) == asked, "all rates are set")
     finally:
         pair.close()
 

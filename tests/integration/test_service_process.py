@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import signal
 import socket
 import subprocess
@@ -277,6 +278,10 @@ def test_what_cannot_be_loaded_is_one_line(failing, tmp_path):
         "--udp", "127.0.0.1:0", "--keys", str(tmp_path / "keys")
     )
     assert str(tmp_path / "ca.pem") in failing("--tls", str(tmp_path))
+    keys = tmp_path / "keys"
+    keys.write_text(f"d {secrets.token_hex(32)}\n")
+    keys.chmod(0o600)
+    assert "udp/a..b:1: not a host name" in failing("--udp", "a..b:1", "--keys", str(keys))
     assert "did you mean EDGE_WEIGHTS?" in failing(EDGE_WEIHGTS="x")
 
 

@@ -1,5 +1,6 @@
 """Airframe files: what they may say, and one line for what they may not."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from drone_client.airframe import FLU_FROM_RDF, MAX_AIRFRAME_BYTES, Airframe, load_airframe
 from drone_client.cbf import FilterSettings
-from drone_client.cbf.keep_out import Stance, gaps_m
+from drone_client.cbf.keep_out import MAX_KEEP_OUTS, Stance, gaps_m
 from drone_client.errors import AirframeError
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "airframe.toml"
@@ -112,6 +113,15 @@ def test_floor_and_ceiling_are_planes_of_the_world():
     assert drone.ceiling(2.5).normal == (0.0, 0.0, -1.0)
     assert drone.ceiling(2.5).offset_m == -2.5
     assert drone.floor(0.2).parts == drone.keep_outs[0].parts
+
+
+def test_more_planes_than_the_safety_filter_takes_are_told_on_the_ground():
+    """And not by an approach that is aborted: floor and ceiling count."""
+    (wall,) = Airframe().keep_outs
+    drone = replace(Airframe(), keep_outs=(wall,) * (MAX_KEEP_OUTS - 1))
+    assert len(drone.planes(0.0, None)) == MAX_KEEP_OUTS
+    with pytest.raises(ValueError, match=r"7 planes with floor and ceiling, .* takes 6: leave out"):
+        drone.planes(0.0, 3.0)
 
 
 def test_a_missing_file_is_told(tmp_path):

@@ -308,6 +308,55 @@ def test_release_while_warming_asks_for_nothing() -> None:
     assert world.asked == []
 
 
+def asking_and_refused() -> World:
+    world = World()
+    world.engage_until_asked()
+    world.order.answered(Answer.LATER, world.now_ms * MS)
+    world.asked.clear()
+    world.order.release(world.now_ms * MS)
+    return world
+
+
+def test_release_while_it_asks_does_not_take_the_vehicle_from_its_pilot() -> None:
+    """Refused so far, and a Ctrl-C: its mode is the pilot's, and stays."""
+    world = asking_and_refused()
+    steps = world.run(5000)
+    assert world.asked == []
+    assert steps[0] == Step(Flow.ZERO)  # the question may be answered yet
+    assert steps[-1] == Step(Flow.NOTHING)
+    assert world.order.reason == "released"
+
+
+def test_release_while_it_asks_and_the_pilot_switches() -> None:
+    """POSCTL to STABILIZED: silence from that heartbeat on."""
+    world = asking_and_refused()
+    world.hear()
+    world.mode = "STABILIZED"
+    world.hear()
+    assert set(world.run(5000)) == {Step(Flow.NOTHING)}
+    assert world.asked == []
+
+
+def test_a_mode_that_is_taken_after_all_is_left_again() -> None:
+    """The question was under way as a person gave up: the vehicle is ours, and is given back."""
+    world = asking_and_refused()
+    world.tick()
+    world.mode = "OFFBOARD"
+    world.hear()
+    assert world.tick() == Step(Flow.ZERO, Ask.HOLD)
+    world.mode = "AUTO.LOITER"
+    world.hear()
+    assert world.tick() == Step(Flow.NOTHING)
+
+
+def test_release_while_it_asks_and_nothing_is_heard_any_more_ends_too() -> None:
+    """Zeros do not flow for ever."""
+    world = asking_and_refused()
+    steps = [world.tick() for _ in range(200)]
+    assert steps[-1] == Step(Flow.NOTHING)
+    assert world.asked == []
+
+
 def test_settings_are_bounded() -> None:
     """PX4 wants setpoints for more than a second."""
     with pytest.raises(ValueError, match="warm_ms"):
@@ -352,6 +401,8 @@ class Anything(RuleBasedStateMachine):
         if self.step.ask is Ask.TAKE:
             assert self.person_engaged, "the mode is asked for without a person"
             assert self.step.flow is Flow.ZERO
+        if self.step.ask is Ask.HOLD:
+            assert self.world.mode == "OFFBOARD", "a mode that was never ours is taken away"
         if self.step.flow is Flow.COMMANDS:
             assert self.world.mode == "OFFBOARD"
             assert self.person_engaged

@@ -127,4 +127,11 @@ def test_unknown_covariances_are_none() -> None:
     """NaN in the first place, or anywhere, and a wrong length stand for "not known"."""
     assert covariance_from_triangle([math.nan] * 21) is None
     assert covariance_from_triangle([0.0] * 20 + [math.inf]) is None
+    # PX4's own: the variances of north, east, down and of the turns about them, and nothing beside
+    triangle = [math.nan] * 21
+    for variance, i in enumerate((0, 6, 11, 15, 18, 20), 1):
+        triangle[i] = variance
+    of_px4 = covariance_from_triangle(triangle)
+    assert of_px4 is not None
+    assert of_px4.tolist() == np.diag([2, 1, 3, 5, 4, 6]).tolist()
     assert covariance_from_triangle([0.0] * 20) is None

@@ -420,6 +420,7 @@ def test_an_answer_that_is_none_is_one_line(command, recording, service, status,
         ("rgb/0.png", "camera.json", "http://127.0.0.1:1", "is edge-service running there?"),
         ("rgb/0.png", "camera.json", "127.0.0.1:8080", "try http://127.0.0.1:8080"),
         ("rgb/0.png", "camera.json", "ftp://edge", "try http://127.0.0.1:8080"),
+        ("rgb/0.png", "camera.json", "http://a..b:8080", "try http://127.0.0.1:8080"),
     ],
 )
 def test_a_question_that_cannot_be_asked_is_one_line(command, recording, color, camera, url, says):

@@ -47,6 +47,21 @@ def test_a_mistake_is_told_before_anything_is_opened(arguments: tuple[str, ...],
     assert says in str(result.exception)
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("fly", "--sim", "tunnel", "--wait-for-vehicle-s", "nan"),
+        ("doctor", "--limit-s", "nan"),
+        ("snap", "color.jpg", "--timeout-s", "nan"),
+    ],
+)
+def test_a_time_that_is_no_number_is_refused(arguments: tuple[str, ...]):
+    """Nobody waits for ever by mistake."""
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert "Input should be" in result.stderr
+
+
 def test_an_airframe_must_be_given_and_be_there():
     """Nobody flies by the default drone's transforms unawares."""
     result = CliRunner().invoke(app, ["fly", "--yes"])

@@ -43,6 +43,7 @@ def secure(ends):
 def test_a_name_that_is_none():
     """Nobody of that name."""
     assert "no host called nowhere.invalid" in diagnose("tcp/nowhere.invalid:7447")
+    assert "no host called a..b" in diagnose("tcp/a..b:7447")
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "tls"])

@@ -334,3 +334,22 @@ def test_a_vio_that_falls_silent_is_noticed_and_one_that_never_spoke_is_not() ->
     source.newest_odometry = OdometrySample(2 * SECOND, pose((1, 2, 3)), np.zeros(3))
     feed.tick(2 * SECOND)
     assert not feed.silent(2 * SECOND)
+
+
+@pytest.mark.parametrize("diverged", [{"at": 1e9}, {"mps": 1e9}])
+def test_a_vio_that_diverges_and_goes_on_is_silent_until_it_is_back(diverged) -> None:
+    """Its samples come, and not one can be passed on: the estimator flies by its IMU alone."""
+    source, estimator = MemoryOdometry(), Given()
+    feed = OdometryFeed(source, estimator)
+
+    def say(t_ns: int, at: float = 1.0, mps: float = 0.0) -> None:
+        source.newest_odometry = OdometrySample(t_ns, pose((at, 2, 3)), np.full(3, mps))
+        feed.tick(t_ns)
+
+    say(SECOND)
+    for i in range(1, 100):
+        say(SECOND + 20 * i * MS, **diverged)
+        assert feed.silent(SECOND + 20 * i * MS) == (20 * i > 500)
+    assert len(estimator.odometry) == 1
+    say(4 * SECOND)
+    assert not feed.silent(4 * SECOND)

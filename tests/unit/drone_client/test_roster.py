@@ -39,9 +39,9 @@ def roster_of(*workers: str) -> Roster:
     return roster
 
 
-def make_suspect(roster: Roster, worker: str, now_ns: int = 0) -> None:
+def make_suspect(roster: Roster, worker: str) -> None:
     """Three replies in a row missed."""
-    assert [roster.missed(worker, now_ns) for _ in range(3)] == [False, False, True]
+    assert [roster.missed(worker) for _ in range(3)] == [False, False, True]
 
 
 def test_the_first_choice_is_the_rendezvous_hash():
@@ -54,14 +54,14 @@ def test_three_replies_missed_in_a_row_are_a_hand_over():
     """Two are not; a reply in between starts the count again."""
     roster = roster_of(*WORKERS)
     first = roster.choose(0)
-    roster.missed(first, 0)
-    roster.missed(first, 0)
+    roster.missed(first)
+    roster.missed(first)
     assert roster.choose(0) == first
     roster.replied(first, 1)
-    roster.missed(first, 2)
-    roster.missed(first, 2)
+    roster.missed(first)
+    roster.missed(first)
     assert roster.choose(2) == first
-    assert roster.missed(first, 3)
+    assert roster.missed(first)
     assert roster.standing(first) is Standing.SUSPECT
     assert roster.choose(3) != first
 
@@ -73,7 +73,7 @@ def test_a_suspect_is_trusted_again_after_three_replies_in_a_row():
     for _ in range(2):
         roster.replied("w1", 1)
     assert roster.standing("w1") is Standing.SUSPECT
-    roster.missed("w1", 2)
+    roster.missed("w1")
     for _ in range(2):
         roster.replied("w1", 3)
     assert roster.standing("w1") is Standing.SUSPECT
@@ -169,10 +169,44 @@ def test_one_that_went_and_came_back_starts_afresh():
 
 def test_with_suspects_alone_the_one_heard_of_last_is_asked():
     """The link may be at fault, not the workers."""
+    for last, first in (("w1", "w2"), ("w2", "w1")):
+        roster = roster_of("w1", "w2")
+        roster.replied(first, 100)
+        roster.replied(last, 200)
+        for worker in (first, last):
+            make_suspect(roster, worker)
+        assert roster.choose(5 * SECOND) == last
+
+
+@pytest.mark.parametrize(("hung", "full"), [("w1", "w2"), ("w2", "w1")])
+def test_one_that_turns_frames_away_is_asked_rather_than_one_that_hangs(hung, full):
+    """Both are suspects, and one of them is dead: it was heard of too, and fell silent later."""
     roster = roster_of("w1", "w2")
-    make_suspect(roster, "w1", 100)
-    make_suspect(roster, "w2", 200)
-    assert roster.choose(300) == "w2"
+    for worker in (hung, full):
+        roster.replied(worker, 0)
+    make_suspect(roster, hung)
+    for n in range(3):
+        roster.replied(full, 2 * SECOND + n)
+        roster.refused(full, 2 * SECOND + n)
+    chosen = []
+    for n in range(100):  # it replies, to probes and with refusals, and the other does not
+        roster.replied(full, 2 * SECOND + n * 20 * MS)
+        chosen.append(roster.choose(2 * SECOND + n * 20 * MS))
+    assert set(chosen) == {full}
+
+
+@pytest.mark.parametrize(("stuck", "full"), [("w1", "w2"), ("w2", "w1")])
+def test_one_that_turns_frames_away_is_asked_rather_than_one_that_leaves_them(stuck, full):
+    """Both reply to probes, in turn; whoever was heard of last a moment ago says nothing."""
+    roster = roster_of("w1", "w2")
+    for n in range(3):
+        roster.overdue(stuck, n)
+        roster.refused(full, n)
+    chosen = []
+    for n in range(100):
+        roster.replied((stuck, full)[n % 2], n * 20 * MS)
+        chosen.append(roster.choose(n * 20 * MS))
+    assert set(chosen[2:]) == {full}
 
 
 def test_a_worker_much_better_for_long_is_moved_to_and_not_before():
@@ -241,7 +275,7 @@ def test_what_is_said_of_strangers_is_ignored(what):
     roster = roster_of("w1")
     if what == "status":
         roster.take_status(status("rogue"))
-    elif what in ("missed", "overdue", "replied"):
+    elif what in ("overdue", "replied"):
         getattr(roster, what)("rogue", 0)
     else:
         getattr(roster, what)("rogue")
@@ -265,7 +299,7 @@ class RosterMachine(RuleBasedStateMachine):
     @rule(worker=st.sampled_from(WORKERS), step=st.integers(0, 2 * SECOND))
     def miss(self, worker, step):
         self.now_ns += step
-        self.roster.missed(worker, self.now_ns)
+        self.roster.missed(worker)
 
     @rule(worker=st.sampled_from(WORKERS), rtt=st.integers(0, SECOND))
     def reply(self, worker, rtt):

@@ -51,6 +51,8 @@ def test_what_is_written_is_taken_and_the_rest_stays(tmp_path: Path):
         ("[mission]\ndwell_s = '3'", "mission.dwell_s = '3' must be a number"),
         ("[mission]\nattempts = 2.5", "mission.attempts = 2.5 must be a whole number"),
         ("[mission]\ndwell_s = true", "must be a number"),
+        ("[mission]\ndwell_s = 1" + "0" * 400, "must be a number"),
+        ("[mission]\ndwell_s = 1" + "0" * 5000, "Exceeds the limit"),
         ("[mission]\ndwell_s = nan", "dwell_s = nan is not in"),
         ("[guidance]\nk_x = 1.0\nk_lateral = 0.5", "k_x = 1.0 must not exceed"),
         ("mission = 3", "mission must be a table [mission]"),

@@ -82,6 +82,7 @@ def record(folder: Path, camera: Still, *, pictures: bool = True) -> FlightRecor
         assert vehicle.enough.wait(10.0)
     recorder.stop()
     assert not camera.is_open
+    recorder.close()
     return recorder
 
 

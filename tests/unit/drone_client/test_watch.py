@@ -142,6 +142,21 @@ def test_a_worker_that_is_gone_is_left_at_once():
     assert newest in world.lost
 
 
+def test_a_worker_that_is_found_gone_as_a_frame_leaves_is_handed_over_all_the_same():
+    """Between two ticks: the frame goes to the other, and the next tick looks after the rest."""
+    world = World()
+    world.run(1001)
+    world._send()
+    newest = world.sent[-1][1]
+    world.silent.add(FIRST)
+    world.live = (OTHER,)
+    world._send()
+    assert world.sent[-1][2] == OTHER
+    world.run(1)
+    assert [(s, w) for _, s, w, _ in world.copies] == [(newest, OTHER)]
+    assert newest in world.lost
+
+
 def test_a_silent_worker_that_comes_back_is_trusted_and_not_gone_back_to():
     """It is willing again after a few echoes; the drone stays where it is."""
     world = World()

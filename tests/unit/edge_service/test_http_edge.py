@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import re
 import socket
 import tempfile
@@ -19,6 +20,7 @@ from starlette.formparsers import MultiPartParser
 
 from edge_service.errors import AddressError, ImageError
 from edge_service.http.app import create_app
+from edge_service.http.connections import MAX_CONNECTIONS
 from edge_service.http.examples import CAMERA
 from edge_service.http.server import HttpServer, bind, url_of
 from rgbd_wire.camera import camera_from_json
@@ -68,6 +70,18 @@ def client():
     with serving(bench) as client:
         yield client
     bench.drain()
+
+
+def test_connections_that_say_nothing_keep_nobody_out(client):
+    """Not the cluster's probes, for which it would start the worker anew."""
+    with contextlib.ExitStack() as stack:
+        for _ in range(2 * MAX_CONNECTIONS):
+            silent = socket.create_connection((client.base_url.host, client.base_url.port))
+            stack.enter_context(silent)
+        for _ in range(3):
+            with httpx.Client(base_url=client.base_url, timeout=20) as probe:
+                assert probe.get("/livez").status_code == 200
+        assert client.post("/v1/localize", files=FILES).status_code == 200
 
 
 def test_a_picture_in_a_pose_out(client):
@@ -390,7 +404,9 @@ def test_where_a_socket_is_reached():
         assert url_of(listener) == f"http://127.0.0.1:{listener.getsockname()[1]}"
 
 
-@pytest.mark.parametrize(("host", "words"), [("192.0.2.1", "Cannot assign"), ("no.invalid", "")])
+@pytest.mark.parametrize(
+    ("host", "words"), [("192.0.2.1", "Cannot assign"), ("no.invalid", ""), ("a..b", "")]
+)
 def test_an_address_that_is_not_ours_is_one_line(host, words):
     """Which address, what is wrong with it, which flag gives another one."""
     with pytest.raises(AddressError) as error:

@@ -66,7 +66,7 @@ RESULT = Result(
     model="0" * 64,
     draining=False,
 )
-LENS = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+LENS = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0, "none", (0.0, 0.0, 0.0, 0.0, 0.0))
 HEADER = FrameHeader(
     drone="drone-1",
     boot_id=1,
@@ -220,6 +220,15 @@ def test_a_field_more_or_less(message):
     assert refusal(decode, packed([*fields, None])) is Reject.BAD_HEADER
     assert refusal(decode, packed(fields[:-1])) is Reject.BAD_HEADER
     assert refusal(decode, packed(message) + b"\0") is Reject.BAD_HEADER
+
+
+def test_a_field_more_or_less_within_a_message():
+    """Nor is a camera of fewer numbers filled up with what was meant to be usual."""
+    fields = fields_of(HEADER)
+    (place, lens) = next((i, f) for i, f in enumerate(fields) if f == fields_of(LENS))
+    for spoiled in (lens[:-1], lens[:-2], [*lens, None]):
+        changed = [*fields[:place], spoiled, *fields[place + 1 :]]
+        assert refusal(decode_header, packed(changed)) is Reject.BAD_HEADER
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)

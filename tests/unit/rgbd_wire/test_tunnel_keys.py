@@ -137,6 +137,29 @@ def test_a_changed_file_is_read_again_once_a_second(tmp_path: Path) -> None:
     assert keys.get("b") == bytes.fromhex(KEY)
 
 
+def test_a_file_that_could_not_be_read_for_a_moment_is_read_later(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker without a descriptor left must not go on with the key of a drone that was lost."""
+    path = key_file(tmp_path, f"a {KEY}")
+    keys = KeyFile(path)
+    other = tmp_path / "new"
+    other.write_text(f"b {KEY}", encoding="ascii")
+    other.chmod(0o600)
+    other.replace(path)
+
+    def fails(path: Path) -> dict[str, bytes]:
+        raise KeyFileError("too many open files")
+
+    with monkeypatch.context() as for_a_moment:
+        for_a_moment.setattr("rgbd_wire.tunnel.keys.load_keys", fails)
+        for n in range(3):
+            assert not keys.refresh(n * CHECK_EVERY_NS)
+    assert caplog.text.count("the keys stay as they were") == 1
+    assert keys.refresh(3 * CHECK_EVERY_NS)
+    assert keys.get("a") is None
+
+
 def test_a_wrong_new_file_changes_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A file that is damaged or gone while the worker runs is logged; the old keys stay."""
     path = key_file(tmp_path, f"a {KEY}")
