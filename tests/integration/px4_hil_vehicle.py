@@ -103,7 +103,7 @@ def main():
     parser.add_argument("--udp", required=True)
     parser.add_argument("--seconds", type=float, default=1000.0)
     parser.set_defaults(
-        system=1, refuse=0, lose_acks=0, clock_offset=0.0, boot_age=0.0,
+        system=1, refuse=0, lose_acks=0, lose_rates=0, clock_offset=0.0, boot_age=0.0,
         arm_s=1.0, height_m=1.2, fault="none", fault_s=0.0,
     )  # fmt: skip
     both = Both(parser.parse_args())
