@@ -64,6 +64,14 @@ def test_a_run_gives_a_picture_with_its_curves_and_its_stale_stretches(tmp_path)
     assert share(picture, GOLD) > 0.01
 
 
+def test_a_full_disk_leaves_no_half_of_a_picture(tmp_path):
+    """It is told, and an empty picture would look like a run without a curve."""
+    (tmp_path / ".run.part.png").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left on device"):
+        drawn(tmp_path / "run.png", [frame_line(0)], [tick_line(0)])
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_lines_without_numbers_are_drawn_around(tmp_path):
     """Refused times, ticks without a target, frames that nobody answered; nothing is shaded."""
     frames = [
