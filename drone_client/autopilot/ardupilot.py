@@ -65,5 +65,6 @@ ARDUPILOT = Flavour(
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
         }
     ),
+    parameter_file="ardupilot.params",
     bytewise_parameters=False,
 )

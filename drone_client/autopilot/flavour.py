@@ -23,5 +23,7 @@ class Flavour:
     """Name, as pilots know it, of a heartbeat's ``custom_mode``."""
     rates_hz: Mapping[int, float]
     """Message ids that are asked for, and how often."""
+    parameter_file: str
+    """The packaged one."""
     bytewise_parameters: bool
     """Integer parameters come as their bytes in a float's place, not as a float."""

@@ -78,7 +78,7 @@ class MavlinkAutopilot:
         self.late_ticks = 0
         """Ticks left out because the thread came too late for them."""
         self._line = line
-        self._flavour = flavour
+        self.flavour = flavour
         self._clock = clock
         self._settings = settings
         self._receiver = Receiver(
@@ -266,7 +266,7 @@ class MavlinkAutopilot:
                 self.setpoints += 1
                 self._sent_ns = now_ns
         if step.ask is not None:
-            main, sub = self._flavour.take if step.ask is Ask.TAKE else self._flavour.hold
+            main, sub = self.flavour.take if step.ask is Ask.TAKE else self.flavour.hold
             self._sender.to_vehicle(lambda s, c: messages.set_mode(main, sub, s, c))
         if _due(self._heartbeat_ns, now_ns, HEARTBEAT_NS):
             self._heartbeat_ns = now_ns
@@ -314,8 +314,8 @@ class MavlinkAutopilot:
                 return
             self._rates_asked_ns = now_ns
             self._rates_asked += 1
-            self._rates_open = len(self._flavour.rates_hz)
-        for message_id, rate_hz in self._flavour.rates_hz.items():
+            self._rates_open = len(self.flavour.rates_hz)
+        for message_id, rate_hz in self.flavour.rates_hz.items():
             self._sender.to_vehicle(partial(messages.message_interval, message_id, rate_hz))
 
     def _mark_silence(self) -> None:
@@ -363,7 +363,7 @@ class MavlinkAutopilot:
             case "TIMESYNC":
                 self._handle_timesync(message, now_ns)
             case "HEARTBEAT":
-                mode = self._flavour.mode_name(int(message.custom_mode))
+                mode = self.flavour.mode_name(int(message.custom_mode))
                 with self._lock:
                     self._vehicle.heartbeat(message, mode, now_ns)
                     self._order.heard(Heard(now_ns, mode, self._vehicle.armed))

@@ -1,4 +1,4 @@
-"""Parameter files in QGroundControl's format, and the one that comes with the project.
+"""Parameter files in QGroundControl's format, and those that come with the project.
 
 A line is ``system<TAB>component<TAB>name<TAB>value<TAB>type``; lines with # are comments. The
 comment above a line says why the value is so, and is kept: whoever compares shows it.
@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import common as mav
 from drone_client.errors import AutopilotError
 
 PACKAGED = "aerial-contact.params"
+"""PX4's."""
 FILE_MAX_BYTES = 1_000_000
 _REAL = mav.MAV_PARAM_TYPE_REAL32
 _TYPES = range(mav.MAV_PARAM_TYPE_UINT8, _REAL + 1)
@@ -35,10 +36,14 @@ class Parameter:
         return math.isclose(self.value, value, rel_tol=1e-6, abs_tol=1e-9)
 
 
-def packaged_parameters() -> dict[str, Parameter]:
-    """The parameters that PX4 needs for this project, by name."""
-    text = files("drone_client.autopilot").joinpath(PACKAGED).read_text(encoding="utf-8")
-    return parse_parameters(text, PACKAGED)
+def packaged_parameters(name: str = PACKAGED) -> dict[str, Parameter]:
+    """The parameters that an autopilot needs for this project, by name.
+
+    Args:
+        name: of the flavour's file.
+    """
+    text = files("drone_client.autopilot").joinpath(name).read_text(encoding="utf-8")
+    return parse_parameters(text, name)
 
 
 def load_parameter_file(path: Path) -> dict[str, Parameter]:

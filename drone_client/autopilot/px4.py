@@ -7,6 +7,7 @@ from types import MappingProxyType
 from pymavlink.dialects.v20 import common as mav
 
 from drone_client.autopilot.flavour import Flavour
+from drone_client.autopilot.parameters import PACKAGED
 
 _AUTO = 4
 _OFFBOARD = 6
@@ -62,5 +63,6 @@ PX4 = Flavour(
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
         }
     ),
+    parameter_file=PACKAGED,
     bytewise_parameters=True,
 )

@@ -190,8 +190,7 @@ def _vehicle(address: str | None, settings: ClientSettings, topics: _Topics) -> 
         odometry = lidar.open(settings, clock)
         if odometry is not None:
             stack.callback(odometry.close)
-        is_px4 = not address.startswith("ardupilot+")
-        return judge_vehicle(collect_vehicle(vehicle, clock, is_px4, odometry), address)
+        return judge_vehicle(collect_vehicle(vehicle, clock, odometry), address)
 
 
 def _odometry(settings: ClientSettings, topics: _Topics, tuning: Path | None) -> Sequence[Check]:

@@ -10,7 +10,7 @@ from statistics import median
 
 from drone_client.autopilot import VehicleState
 from drone_client.autopilot.mavlink import MavlinkAutopilot
-from drone_client.autopilot.parameters import Parameter, packaged_parameters
+from drone_client.autopilot.parameters import PACKAGED, Parameter, packaged_parameters
 from drone_client.doctor.finding import Check, Finding, judged, ok, unchecked
 from drone_client.odometry import OdometrySample, RangeSample
 from drone_client.odometry.feed import MAX_RESETS
@@ -58,17 +58,18 @@ class VehicleFacts:
     """
     lidar_m: float | None = None
     """By the lidar that looks down, upright."""
+    parameter_file: str = PACKAGED
+    """The packaged one that it is compared with."""
 
 
 def collect_vehicle(
-    vehicle: MavlinkAutopilot, clock: Clock, is_px4: bool, odometry: OdometrySource | None = None
+    vehicle: MavlinkAutopilot, clock: Clock, odometry: OdometrySource | None = None
 ) -> VehicleFacts:
     """Listen for some seconds, and ask for the parameters; commands nothing.
 
     Args:
         vehicle: its line is open.
         clock: the drone's.
-        is_px4: its parameters can be compared.
         odometry: has a lidar that looks down; None: there is none.
     """
     give_up = time.monotonic() + HEARD_S
@@ -95,9 +96,8 @@ def collect_vehicle(
     if first is not None and newest is not None:
         resets = (newest.resets - first.resets) % MAX_RESETS
     offset = vehicle.clock_offset_ns()
-    values = None
-    if is_px4:
-        values = vehicle.read_parameters(packaged_parameters(), PARAMETERS_S)
+    wanted = packaged_parameters(vehicle.flavour.parameter_file)
+    values = vehicle.read_parameters(wanted, PARAMETERS_S)
     return VehicleFacts(
         vehicle.state(),
         max(0, len(stamps) - 1) / WATCHED_S,
@@ -108,6 +108,7 @@ def collect_vehicle(
         values,
         heights.estimated_m,
         heights.measured_m,
+        vehicle.flavour.parameter_file,
     )
 
 
@@ -162,7 +163,7 @@ def judge_vehicle(facts: VehicleFacts, address: str) -> Sequence[Check]:
         _clock(facts),
         _battery(state),
         *([_failsafe(state)] if state.failsafe else []),
-        *_parameters(facts, packaged_parameters()),
+        *_parameters(facts, packaged_parameters(facts.parameter_file)),
     ]
 
 
@@ -308,7 +309,7 @@ def _failsafe(state: VehicleState) -> Check:
 def _parameters(facts: VehicleFacts, wanted: Mapping[str, Parameter]) -> list[Check]:
     values = facts.parameters
     if values is None:
-        return [unchecked(AREA, "parameters", "only PX4's are compared")]
+        return [unchecked(AREA, "parameters", "it was not asked for any")]
     wrong = [
         judged(
             AREA,
@@ -336,7 +337,7 @@ def _parameters(facts: VehicleFacts, wanted: Mapping[str, Parameter]) -> list[Ch
             "parameters",
             Finding.FAULT if wrong else unsure,
             found,
-            "load drone_client/autopilot/aerial-contact.params (docs/px4.md)"
+            f"load drone_client/autopilot/{facts.parameter_file} (docs/px4.md)"
             if wrong
             else "ask again: a slow line loses answers; a firmware of another version may not have "
             "them, then set what it has instead",

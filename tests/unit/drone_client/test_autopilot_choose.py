@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drone_client.autopilot.ardupilot import ARDUPILOT
 from drone_client.autopilot.choose import open_autopilot, parse_address
 from drone_client.autopilot.line import SerialLine
 from drone_client.autopilot.parameter_reader import parameter_value
@@ -20,6 +21,7 @@ from drone_client.autopilot.parameters import (
     packaged_parameters,
     parse_parameters,
 )
+from drone_client.autopilot.px4 import PX4
 from drone_client.autopilot.settings import AutopilotSettings
 from drone_client.errors import AutopilotError
 from rgbd_wire.clock import MonotonicClock
@@ -144,6 +146,15 @@ def test_the_packaged_parameters_have_values_and_reasons() -> None:
     assert isinstance(parameters["EKF2_EV_CTRL"].value, int)
     assert parameters["EKF2_EVP_NOISE"].matches(float(np.float32(0.03)))
     assert not parameters["EKF2_EV_CTRL"].matches(11)
+
+
+def test_every_flavour_has_its_packaged_parameters() -> None:
+    """ArduPilot flies its last velocity on for GUID_TIMEOUT: no longer than PX4 waits."""
+    for flavour in (PX4, ARDUPILOT):
+        assert all(len(p.why) > 20 for p in packaged_parameters(flavour.parameter_file).values())
+    timeout = packaged_parameters(ARDUPILOT.parameter_file)["GUID_TIMEOUT"]
+    assert timeout.value == packaged_parameters(PX4.parameter_file)["COM_OF_LOSS_T"].value
+    assert not timeout.matches(3.0)
 
 
 def test_the_example_is_the_packaged_file() -> None:

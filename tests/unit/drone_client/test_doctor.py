@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from drone_client.airframe import Airframe
+from drone_client.autopilot.ardupilot import ARDUPILOT
 from drone_client.autopilot.parameters import packaged_parameters
 from drone_client.autopilot.simulated import SimulatedAutopilot
 from drone_client.cli import app
@@ -144,6 +145,16 @@ def test_small_buffers_matter_to_the_tunnel_alone():
         ({"lidar_m": 1.4}, "height", Finding.WARNING),
         ({"lidar_m": 2.1}, "height", Finding.FAULT),
         ({"parameters": None}, "parameters", Finding.UNCHECKED),
+        (
+            {"parameters": {"GUID_TIMEOUT": 3.0}, "parameter_file": ARDUPILOT.parameter_file},
+            "GUID_TIMEOUT",
+            Finding.FAULT,
+        ),
+        (
+            {"parameters": {"GUID_TIMEOUT": 0.5}, "parameter_file": ARDUPILOT.parameter_file},
+            "parameters",
+            Finding.OK,
+        ),
     ],
 )
 def test_the_vehicle(changes: dict, name: str, finding: Finding):

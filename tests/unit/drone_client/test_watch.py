@@ -129,14 +129,19 @@ def test_a_worker_that_falls_silent_is_left_within_300_ms_and_its_newest_frame_g
     assert world.sent[-1][2] == OTHER
 
 
-def test_a_worker_that_is_gone_is_left_at_once():
-    """The token goes: the next tick hands over, without waiting for anything."""
+def first_one_goes_with_a_frame() -> tuple[World, int]:
+    """A frame is on its way to a worker whose token goes; the frame's number."""
     world = World()
     world.run(1001)
     world._send()
-    newest = world.sent[-1][1]
     world.silent.add(FIRST)
     world.live = (OTHER,)
+    return world, world.sent[-1][1]
+
+
+def test_a_worker_that_is_gone_is_left_at_once():
+    """The token goes: the next tick hands over, without waiting for anything."""
+    world, newest = first_one_goes_with_a_frame()
     world.run(1)
     assert [(s, w) for _, s, w, _ in world.copies] == [(newest, OTHER)]
     assert newest in world.lost
@@ -144,12 +149,7 @@ def test_a_worker_that_is_gone_is_left_at_once():
 
 def test_a_worker_that_is_found_gone_as_a_frame_leaves_is_handed_over_all_the_same():
     """Between two ticks: the frame goes to the other, and the next tick looks after the rest."""
-    world = World()
-    world.run(1001)
-    world._send()
-    newest = world.sent[-1][1]
-    world.silent.add(FIRST)
-    world.live = (OTHER,)
+    world, newest = first_one_goes_with_a_frame()
     world._send()
     assert world.sent[-1][2] == OTHER
     world.run(1)
