@@ -185,9 +185,7 @@ def load_test(
     rate: Annotated[
         float,
         typer.Option(
-            min=0.1,
-            max=240,
-            help="frames a second of each; a worker takes EDGE_MAX_RATE_HZ (60)",
+            min=0.1, max=240, help="frames a second of each; a worker takes EDGE_MAX_RATE_HZ (60)"
         ),
     ] = 15.0,
     duration: Annotated[float, typer.Option(min=0.5, max=3600, help="seconds")] = 10.0,

@@ -51,35 +51,24 @@ def hil(
         ),
     ] = True,
     thrust_curve: Annotated[
-        float,
-        typer.Option(min=0.0, max=1.0, help="as PX4's THR_MDL_FAC; 0: linear"),
+        float, typer.Option(min=0.0, max=1.0, help="as PX4's THR_MDL_FAC; 0: linear")
     ] = 0.0,
     speed: Annotated[
-        float,
-        typer.Option(min=0.0, max=100.0, help="times real time; 0: as fast as it goes"),
+        float, typer.Option(min=0.0, max=100.0, help="times real time; 0: as fast as it goes")
     ] = 1.0,
     flights: Annotated[
         int, typer.Option(min=0, max=1_000_000, help="end after so many; 0: at Ctrl-C")
     ] = 0,
     wait_s: Annotated[
         float,
-        typer.Option(
-            min=0.001,
-            max=600.0,
-            help="for an answer of a PX4 that flies, then go on",
-        ),
+        typer.Option(min=0.001, max=600.0, help="for an answer of a PX4 that flies, then go on"),
     ] = 1.0,
     hung_s: Annotated[
-        float,
-        typer.Option(min=0.01, max=3600.0, help="without an answer in flight: it is over"),
+        float, typer.Option(min=0.01, max=3600.0, help="without an answer in flight: it is over")
     ] = 10.0,
     boot_s: Annotated[
         float,
-        typer.Option(
-            min=0.01,
-            max=3600.0,
-            help="the same on the ground, booting or disarmed",
-        ),
+        typer.Option(min=0.01, max=3600.0, help="the same on the ground, booting or disarmed"),
     ] = 120.0,
     as_json: Annotated[bool, typer.Option("--json", help="print the summary as JSON")] = False,
 ) -> None:

@@ -155,8 +155,7 @@ def fly(
         typer.Option(help="ROS 2 topic of a lidar that looks ahead (sensor_msgs/Range)"),
     ] = None,
     wait_for_vehicle_s: Annotated[
-        float,
-        typer.Option(min=0.1, max=600, help="how long to wait for the autopilot's pose"),
+        float, typer.Option(min=0.1, max=600, help="how long to wait for the autopilot's pose")
     ] = 10.0,
     plot: Annotated[
         bool, typer.Option("--plot/--no-plot", help="draw run.png beside the ledger")
