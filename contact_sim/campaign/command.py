@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from contact_sim.campaign.faults import USUAL, Fault, Kind, load_faults
 from contact_sim.campaign.report import by_group, page, summary
-from contact_sim.campaign.row import UNFINISHED, Flight, FlightRow
+from contact_sim.campaign.row import Flight, FlightRow
 from contact_sim.campaign.run import ABLATIONS, WHOLE, Table, fly_campaign, plan
 from contact_sim.errors import CampaignError
 from contact_sim.flight.service import ServiceProcess
@@ -134,7 +134,7 @@ def campaign(
 
             def on_row(row: FlightRow) -> None:
                 bar.advance(task)
-                if not row.safe or row.ends == UNFINISHED:
+                if not row.well:
                     why = row.error or row.collisions or _what(row)
                     console.print(
                         f"{row.world}, seed {row.seed}, {row.fault}, {row.ablation}: {why}",
@@ -152,8 +152,7 @@ def campaign(
         for key, s in groups.items():
             print(f"{key}: {_line(s)}")
         print(f"table {out / TABLE_NAME}, page {out / PAGE_NAME}")
-    bad = [row for row in rows if not row.safe or row.ends == UNFINISHED]
-    if any(row.ablation == WHOLE or row.error for row in bad):
+    if not all(row.well for row in rows if row.ablation == WHOLE or row.error):
         raise typer.Exit(3)
 
 

@@ -10,6 +10,7 @@ from contact_sim.campaign.faults import Striker
 from contact_sim.lockstep.flight import Flown
 from drone_client.mission import Phase
 
+UNFINISHED: Final = "unfinished"
 AWAY_M: Final = 0.5
 """A tip that is further from the board has come back from it: half the way to the stand-off point,
 for a drone whose odometry has fallen silent goes back by its IMU, and drifts."""
@@ -25,9 +26,6 @@ class Flight(NamedTuple):
     eyes: str
     fault: str
     ablation: str
-
-
-UNFINISHED: Final = "unfinished"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +87,11 @@ class FlightRow:
     def safe(self) -> bool:
         """Nothing but the tip touched anything, and that not beside the mouth."""
         return not self.collisions and self.outside_m == 0.0 and not self.error
+
+    @property
+    def well(self) -> bool:
+        """Safe, and over."""
+        return self.safe and self.ends != UNFINISHED
 
 
 NAMES: Final = tuple(field.name for field in fields(FlightRow))

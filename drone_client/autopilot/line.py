@@ -18,6 +18,7 @@ from typing import Protocol
 import serial
 
 from drone_client.errors import AutopilotError
+from rgbd_wire.hosts import resolve
 
 READ_MAX = 4096
 QUEUE_MAX_S = 0.03
@@ -80,7 +81,7 @@ class UdpLine:
         self.dropped = 0
         name = f"{'udpout' if speak_first else 'udp'}/{host}:{port}"
         try:
-            family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            family, _, _, _, address = resolve(host, port)[0]
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
         except OSError as error:
             raise AutopilotError(f"{name}: {host} cannot be resolved ({error})") from None

@@ -6,6 +6,7 @@ import socket
 from dataclasses import dataclass
 
 from drone_client.doctor.finding import Check, Finding, judged, unchecked
+from rgbd_wire.hosts import resolve
 from rgbd_wire.tunnel.endpoint import parse_endpoint
 from rgbd_wire.tunnel.packet import MAX_DATAGRAM_BYTES
 
@@ -39,7 +40,7 @@ def collect_path(endpoint: str) -> PathFacts:
     """
     host, port = parse_endpoint(endpoint)
     try:
-        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        family, kind, _, _, address = resolve(host, port)[0]
         with socket.socket(family, kind) as sock:
             sock.connect(address)
             is_v6 = family == socket.AF_INET6

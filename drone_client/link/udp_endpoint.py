@@ -13,6 +13,7 @@ from typing import NamedTuple
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from rgbd_wire.clock import Clock
+from rgbd_wire.hosts import resolve
 from rgbd_wire.tunnel.channel import Channel, Side
 from rgbd_wire.tunnel.datagrams import Address, DatagramSocket, connect_datagrams
 from rgbd_wire.tunnel.errors import Counters, Refusal, TunnelError
@@ -296,13 +297,11 @@ class Endpoint:
 
     def _connect(self) -> None:
         try:
-            found = socket.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
+            found = resolve(self._host, self._port)
             family, _, _, _, address = found[self._tries % len(found)]
             dialled = connect_datagrams(family, address)
         except OSError as error:
             self._dialled = error
-        except UnicodeError as error:  # a label of a name that is too long
-            self._dialled = OSError(f"not a host name ({error})")
         else:
             self._dialled = dialled
             if self._closed:

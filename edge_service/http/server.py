@@ -11,6 +11,7 @@ from fastapi import FastAPI
 
 from edge_service.errors import AddressError
 from edge_service.http.connections import MAX_CONNECTIONS, BoundedProtocol
+from rgbd_wire.hosts import resolve
 
 
 class HttpServer(uvicorn.Server):
@@ -41,21 +42,19 @@ def bind(host: str, port: int) -> socket.socket:
         AddressError: the address is taken, not ours or none.
     """
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        family, kind, protocol, _, address = resolve(
+            host, port, socket.SOCK_STREAM, socket.AI_PASSIVE
         )[0]
         listener = socket.socket(family, kind, protocol)
-    except UnicodeError:  # a label of a name that is empty, or too long
-        raise AddressError(_sentence(host, port, "no name of a host")) from None
     except OSError as error:
-        raise AddressError(_sentence(host, port, error.strerror)) from None
+        raise AddressError(_sentence(host, port, error)) from None
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
         listener.listen(MAX_CONNECTIONS)
     except OSError as error:
         listener.close()
-        raise AddressError(_sentence(host, port, error.strerror)) from None
+        raise AddressError(_sentence(host, port, error)) from None
     return listener
 
 
@@ -65,5 +64,5 @@ def url_of(listener: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def _sentence(host: str, port: int, why: str | None) -> str:
-    return f"HTTP on {host}:{port}: {why}; give another address with --http or EDGE_HTTP"
+def _sentence(host: str, port: int, error: OSError) -> str:
+    return f"HTTP on {host}:{port}: {error.strerror}; give another address with --http or EDGE_HTTP"

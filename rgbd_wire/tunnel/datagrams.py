@@ -8,6 +8,7 @@ import struct
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
+from rgbd_wire.hosts import resolve
 from rgbd_wire.tunnel.packet import MAX_DATAGRAM_BYTES
 
 Address: TypeAlias = Any
@@ -119,12 +120,7 @@ def bind_datagrams(host: str, port: int) -> DatagramSocket:
     Raises:
         OSError: it is no address, not ours, or taken.
     """
-    try:
-        family, _, _, _, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
-        )[0]
-    except UnicodeError as error:  # a label of a name that is empty, or too long
-        raise OSError(f"not a host name ({error})") from None
+    family, _, _, _, address = resolve(host, port, flags=socket.AI_PASSIVE)[0]
     return _with(socket.socket(family, socket.SOCK_DGRAM), lambda s: s.bind(address))
 
 

@@ -85,6 +85,8 @@ def test_a_port_that_is_taken_and_a_foreign_address_are_told() -> None:
         other.bind(("127.0.0.1", 0))
         with pytest.raises(AutopilotError, match="taken"):
             open_autopilot(f"udp/127.0.0.1:{other.getsockname()[1]}", MonotonicClock())
+    with pytest.raises(AutopilotError, match=r"a\.\.b cannot be resolved .*not a host name"):
+        open_autopilot("udpout/a..b:14540", MonotonicClock())
     with pytest.raises(AutopilotError, match="udpout/192.0.2.1:14540"):
         open_autopilot("udp/192.0.2.1:14540", MonotonicClock())
     with pytest.raises(AutopilotError, match="dialout"):

@@ -315,9 +315,10 @@ def test_the_target_is_the_same_by_name_and_by_its_sizes():
 def test_the_kernel_knows_the_way_or_says_why_not():
     """The loopback takes any datagram; a host that is none has no way."""
     assert collect_path("udp/127.0.0.1:9").mtu_bytes >= 1500
-    nowhere = collect_path("udp/nowhere.invalid:9")
-    assert nowhere.error
-    assert judge_path(nowhere).finding is Finding.FAULT
+    for host in ("nowhere.invalid", "a..b"):
+        nowhere = collect_path(f"udp/{host}:9")
+        assert nowhere.error
+        assert judge_path(nowhere).finding is Finding.FAULT
 
 
 def counted(**more: int) -> CameraFacts:

@@ -405,7 +405,7 @@ def test_where_a_socket_is_reached():
 
 
 @pytest.mark.parametrize(
-    ("host", "words"), [("192.0.2.1", "Cannot assign"), ("no.invalid", ""), ("a..b", "")]
+    ("host", "words"), [("192.0.2.1", "Cannot assign"), ("no.invalid", ""), ("a..b", "not a host")]
 )
 def test_an_address_that_is_not_ours_is_one_line(host, words):
     """Which address, what is wrong with it, which flag gives another one."""

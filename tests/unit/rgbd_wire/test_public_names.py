@@ -24,6 +24,7 @@ PUBLIC = {
     "unpack",
     "geometry": "Pose quaternion_from_rotation quaternion_product rotation_from_quaternion "
     "rotation_from_vector skew slerp vec3 vector_from_rotation",
+    "hosts": "resolve",
     "jxl_header": "check_plain_picture",
     "messages": "Ack FrameHeader Intrinsics LevelBox Outcome Result Status TargetPose decode_ack "
     "decode_header decode_result decode_status encode_header pack_covariance pose_numbers pose_of "
