@@ -93,6 +93,14 @@ def drone(worker, start_drone):
     return start_drone(worker.endpoint)
 
 
+@pytest.fixture
+def reached(worker, drone):
+    """The same drone, when a reply that follows no frame gets to it, too."""
+    assert drone.sees("w1")
+    assert worker.reaches("drone-1")
+    return drone
+
+
 def test_a_frame_goes_to_its_worker_and_the_answer_comes_back_with_its_time(worker, drone):
     """The very bytes both ways; t4 lies between the sending and now, on the drone's clock."""
     assert drone.sees("w1")
@@ -170,41 +178,37 @@ def test_a_worker_that_is_down_does_not_keep_the_drone_from_the_others(
     assert drone.sees("w0", "w1")
 
 
-def test_results_for_another_drone_do_not_come_in(worker, drone):
+def test_results_for_another_drone_do_not_come_in(worker, reached):
     """Keys are directed."""
-    assert drone.sees("w1")
     worker.reply("drone-2", b"not for us")
     worker.reply("drone-1", b"for us")
-    assert drone.got.get(timeout=10)[0] == b"for us"
+    assert reached.got.get(timeout=10)[0] == b"for us"
 
 
-def test_a_message_that_is_too_long_is_cut_and_counted(worker, drone):
+def test_a_message_that_is_too_long_is_cut_and_counted(worker, reached):
     """Fifty kilobytes where sixteen may be: one reject, no exception, and life goes on."""
     receiver = Receiver("d", 1, GateSettings(1, 1), Airframe(), lambda *_: None, lambda _: None)
-    assert drone.sees("w1")
     for message in (bytes(50_000), b"AERC\x01\x02\0\0" + bytes(50_000), b"short"):
         worker.reply("drone-1", message)
-        received, t4_ns = drone.got.get(timeout=10)
+        received, t4_ns = reached.got.get(timeout=10)
         assert len(received) == min(len(message), MAX_MESSAGE_BYTES + 1)
         receiver.on_message(received, t4_ns)
     assert receiver.rejects == {Reject.WRONG_MAGIC: 1, Reject.WRONG_SIZE: 1, Reject.TRUNCATED: 1}
 
 
-def test_a_message_of_megabytes_is_dropped_on_the_link(worker, drone):
+def test_a_message_of_megabytes_is_dropped_on_the_link(worker, reached):
     """It is never put together, and what comes after it comes."""
-    assert drone.sees("w1")
     worker.reply("drone-1", bytes(5_000_000))
     worker.reply("drone-1", b"after it")
-    assert drone.got.get(timeout=10)[0] == b"after it"
+    assert reached.got.get(timeout=10)[0] == b"after it"
 
 
-def test_a_status_comes_in_and_one_that_is_too_long_is_cut(worker, drone):
+def test_a_status_comes_in_and_one_that_is_too_long_is_cut(worker, reached):
     """From any worker, on a key of its own."""
-    assert drone.sees("w1")
     worker.say(b"fine")
-    assert drone.got.get(timeout=10)[0] == b"fine"
+    assert reached.got.get(timeout=10)[0] == b"fine"
     worker.say(bytes(50_000))
-    assert len(drone.got.get(timeout=10)[0]) == MAX_STATUS_BYTES + 1
+    assert len(reached.got.get(timeout=10)[0]) == MAX_STATUS_BYTES + 1
 
 
 def test_a_probe_goes_before_all_frames_and_is_dropped_rather_than_waited_for(worker, drone):
@@ -266,15 +270,14 @@ def test_a_congestion_control_that_is_not_bbr_is_warned_of(
     assert all("'cubic'" in w and "sysctl -w" in w for w in link.warnings)
 
 
-def test_a_rogue_that_announces_thousands_of_workers_fills_no_memory(worker, drone):
+def test_a_rogue_that_announces_thousands_of_workers_fills_no_memory(worker, reached):
     """At most so many are known."""
-    assert drone.sees("w1")
     tokens = [worker.announce(f"rogue-{i}") for i in range(MAX_WORKERS + 20)]
-    assert eventually(lambda: len(drone.link.workers()) == MAX_WORKERS)
+    assert eventually(lambda: len(reached.link.workers()) == MAX_WORKERS)
     marker = worker.announce("w1")  # what comes after them all has been looked at
     worker.reply("drone-1", b"end")
-    assert drone.got.get(timeout=10)[0] == b"end"
-    assert len(drone.link.workers()) == MAX_WORKERS
+    assert reached.got.get(timeout=10)[0] == b"end"
+    assert len(reached.link.workers()) == MAX_WORKERS
     for token in (*tokens, marker):
         token.undeclare()
 

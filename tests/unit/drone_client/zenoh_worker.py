@@ -10,6 +10,7 @@ import zenoh
 
 from rgbd_wire.streams import FRAME, PROBE, RESULT, worker_key, worker_status_key
 from tests.service_process import free_port
+from tests.unit.drone_client.builders import eventually
 
 Answer = Callable[[str, bytes], Iterable[bytes]]
 
@@ -50,21 +51,36 @@ class ZenohWorker:
         """Put up the token of a worker."""
         return self.session.liveliness().declare_token(worker_key(name))
 
+    def reaches(self, drone: str) -> bool:
+        """Whether the drone's subscriptions have got here before long.
+
+        A drone that sees the token may not be heard of here yet, and what is sent meanwhile is
+        lost (5 of 2400 first replies). A frame that came from it proves that it is.
+        """
+        keys = (RESULT.key(drone, self.name), worker_status_key(self.name))
+        publishers = [self.session.declare_publisher(key) for key in keys]
+        try:
+            return eventually(
+                lambda: all(p.matching_status.matching for p in publishers), timeout_s=20
+            )
+        finally:
+            for publisher in publishers:
+                publisher.undeclare()
+
     def reply(self, drone: str, message: bytes) -> None:
         """Send an ack or a result, and lose none on a busy machine."""
-        self.session.put(
-            RESULT.key(drone, self.name),
-            message,
-            congestion_control=zenoh.CongestionControl.BLOCK,
-        )
+        self._put(RESULT.key(drone, self.name), message)
 
     def say(self, status: bytes) -> None:
         """Publish a status to all drones."""
-        self.session.put(worker_status_key(self.name), status)
+        self._put(worker_status_key(self.name), status)
 
     def close(self) -> None:
         """Go away without a word, as a process that dies does."""
         self.session.close()
+
+    def _put(self, key: str, message: bytes) -> None:
+        self.session.put(key, message, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def _on_frame(self, sample: zenoh.Sample) -> None:
         message = sample.payload.to_bytes()
