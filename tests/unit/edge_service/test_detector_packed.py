@@ -47,6 +47,9 @@ def test_a_packed_net_answers_as_the_plain_one(net, dtype, batch):
         fused = fused.bfloat16_body()
     images = torch.from_numpy(pictures(batch)).permute(0, 3, 1, 2).to(dtype).div_(255)
     run = packed(fused, images)
+    if dtype == torch.bfloat16 and not torch.ops.mkldnn._is_mkldnn_bf16_supported():
+        assert run is None  # oneDNN packs no bf16 on such a CPU: the net stays as it is
+        return
     assert run is not None
     with torch.inference_mode():
         for got, want in zip(run(images), fused(images), strict=True):
