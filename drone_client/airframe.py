@@ -38,7 +38,11 @@ _QUADROTOR = [
     ),
 ]
 """A frame of 650 mm with propellers of 13 inches."""
-_WALL = [{"name": "wall", "clearance_m": 0.08}]
+_WALL_CLEARANCE_M = 0.08
+_FACING = 0.99
+"""Cosine of a plane's normal with the target's x from which it may be the board's wall."""
+_BEHIND_M = 0.5
+"""So far behind the board it still is: the board hangs on something."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +64,8 @@ class Airframe:
     """End of the unloaded arm; its axes are the body's."""
     keep_outs: tuple[KeepOut, ...] = field(default_factory=lambda: _keep_outs({}))
     """What propellers and body stay clear of; at least the wall of the target."""
+    assumed: tuple[str, ...] = ()
+    """What its file does not say, and is flown as of the default drone."""
 
     def floor(self, height_m: float) -> KeepOut:
         """A floor at a height in the odometry's world [m]."""
@@ -82,7 +88,7 @@ class Airframe:
         )
         if len(planes) > MAX_KEEP_OUTS:
             raise ValueError(
-                f"{len(planes)} planes with floor and ceiling, and the safety filter takes "
+                f"{len(planes)} planes with wall, floor and ceiling, and the safety filter takes "
                 f"{MAX_KEEP_OUTS}: leave out {len(planes) - MAX_KEEP_OUTS} [[keep_out]] of the "
                 "airframe"
             )
@@ -98,8 +104,9 @@ def load_airframe(path: Path) -> Airframe:
 
     It may hold ``[body_from_camera]`` and ``[body_from_tip]``, each with ``translation_m`` and an
     optional ``q_wxyz``; ``[[part]]`` for each propeller and part of the body, and ``[[keep_out]]``
-    for each plane that they stay clear of (``cbf/keep_out_table.py``; without one, the wall of the
-    target). What is left out keeps its default.
+    for each plane that they stay clear of (``cbf/keep_out_table.py``). The wall of the target is
+    one of them whatever the file says; a plane of its own that faces as the board does takes its
+    place. What is left out keeps its default, and is named in ``assumed``.
 
     Raises:
         AirframeError: with the path, the field at fault and what it may be.
@@ -117,6 +124,7 @@ def load_airframe(path: Path) -> Airframe:
             _pose(raw, "body_from_camera", defaults.body_from_camera),
             _pose(raw, "body_from_tip", defaults.body_from_tip),
             _keep_outs(raw),
+            tuple(name for name in known[:3] if name not in raw),
         )
     except OSError as error:
         raise AirframeError(f"airframe file {path}: {error.strerror}") from None
@@ -151,5 +159,15 @@ def _pose(raw: dict[str, Any], name: str, default: Pose) -> Pose:
 
 
 def _keep_outs(raw: dict[str, Any]) -> tuple[KeepOut, ...]:
-    tables = {"part": raw.get("part", _QUADROTOR), "keep_out": raw.get("keep_out", _WALL)}
-    return keep_outs_from(tables)
+    parts = raw.get("part", _QUADROTOR)
+    own = keep_outs_from({"part": parts, "keep_out": raw.get("keep_out", [])})
+    if any(_is_targets_wall(plane) for plane in own):
+        return own
+    name = "wall" if all(plane.name != "wall" for plane in own) else "target's wall"
+    wall = {"name": name, "clearance_m": _WALL_CLEARANCE_M}
+    return (*keep_outs_from({"part": parts, "keep_out": [wall]}), *own)
+
+
+def _is_targets_wall(plane: KeepOut) -> bool:
+    faces = plane.frame is PlaneFrame.TARGET and plane.normal[0] >= _FACING
+    return faces and plane.offset_m >= -_BEHIND_M

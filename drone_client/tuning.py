@@ -8,6 +8,7 @@ from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from drone_client.control import ControlSettings
 from drone_client.errors import TuningError
 from drone_client.flight_settings import FlightSettings
 
@@ -53,11 +54,28 @@ def load_tuning(path: Path, parts: FlightSettings) -> FlightSettings:
                 f"odometry.budget.drift_mps = {drift_mps:g} exceeds filter.drift_mps = "
                 f"{covered_mps:g}: the error ball would not cover it; change both"
             )
+        _check_twins(control)
         return replace(parts, control=control, odometry=odometry)
     except OSError as error:
         raise TuningError(f"tuning file {path}: {error.strerror}") from None
     except (ValueError, RecursionError, TuningError) as error:
         raise TuningError(f"tuning file {path}: {error}") from None
+
+
+def _check_twins(control: ControlSettings) -> None:
+    """Numbers that two parts of the control need, each in its own table."""
+    at_m, blind_at_m = control.mission.standoff_m, control.filter.standoff_m
+    if at_m != blind_at_m:
+        raise TuningError(
+            f"mission.standoff_m = {at_m:g} and filter.standoff_m = {blind_at_m:g}: the mission's "
+            "retreat and the filter's own end in one place; change both"
+        )
+    lag_s, covered_s = control.guidance.lag_s, control.filter.lag_s
+    if lag_s > covered_s:
+        raise TuningError(
+            f"guidance.lag_s = {lag_s:g} exceeds filter.lag_s = {covered_s:g}: the filter would "
+            "brake for a quicker vehicle than the guidance flies; change both"
+        )
 
 
 def _nested(settings: Any, table: object, name: str) -> Any:

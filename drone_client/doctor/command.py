@@ -190,7 +190,8 @@ def _vehicle(address: str | None, settings: ClientSettings, topics: _Topics) -> 
         odometry = lidar.open(settings, clock)
         if odometry is not None:
             stack.callback(odometry.close)
-        return judge_vehicle(collect_vehicle(vehicle, clock, odometry), address)
+        facts = collect_vehicle(vehicle, clock, odometry)
+        return judge_vehicle(facts, address, feeds_vio=topics.vio is not None)
 
 
 def _odometry(settings: ClientSettings, topics: _Topics, tuning: Path | None) -> Sequence[Check]:

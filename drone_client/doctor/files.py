@@ -93,6 +93,15 @@ def judge_airframe(airframe: Airframe) -> Check:
     room = float(tip[0]) - reach
     clearance = max((p.clearance_m for p in airframe.keep_outs), default=0.0)
     short = room < clearance + 0.03
+    if airframe.assumed and not short:
+        return judged(
+            AREA,
+            "airframe",
+            Finding.WARNING,
+            f"{found}; {', '.join(airframe.assumed)} of the default drone: its file has none",
+            "measure yours and write it down (docs/frames.md): larger propellers than those would "
+            "be flown into what they stay clear of",
+        )
     return judged(
         AREA,
         "airframe",

@@ -139,8 +139,16 @@ class _Heights:
             self._pairs.append((float(state.world_from_body.translation[2]), upright_m))
 
 
-def judge_vehicle(facts: VehicleFacts, address: str) -> Sequence[Check]:
-    """All checks of the vehicle."""
+def judge_vehicle(
+    facts: VehicleFacts, address: str, *, feeds_vio: bool = False
+) -> Sequence[Check]:
+    """All checks of the vehicle.
+
+    Args:
+        facts: what was heard.
+        address: where.
+        feeds_vio: this client is what passes the VIO on to it, in a flight and not now.
+    """
     state = facts.state
     if state is None:
         return [
@@ -156,7 +164,7 @@ def judge_vehicle(facts: VehicleFacts, address: str) -> Sequence[Check]:
     return [
         ok(AREA, "heartbeat", state.mode),
         _arming(state),
-        *_pose(facts, state),
+        *_pose(facts, state, feeds_vio),
         _frames(state),
         _heading(facts),
         _height(facts),
@@ -178,8 +186,17 @@ def _arming(state: VehicleState) -> Check:
     )
 
 
-def _pose(facts: VehicleFacts, state: VehicleState) -> list[Check]:
+def _pose(facts: VehicleFacts, state: VehicleState, feeds_vio: bool) -> list[Check]:
     if state.world_from_body is None or facts.pose_age_ms is None:
+        if feeds_vio:
+            return [
+                unchecked(
+                    AREA,
+                    "pose",
+                    "the autopilot says none: only fly passes the VIO of --vio-topic on to it, and "
+                    "shows before it asks where the vehicle is",
+                )
+            ]
         return [
             judged(
                 AREA,

@@ -211,7 +211,7 @@ def fly(
     asks = not (yes or dry_run) and (sim is None or hil is not None)
     _check(context, sim, hil, emulated_link)
     views = checked(video, mcap, rerun, foxglove, simulated=sim is not None, overwrite=overwrite)
-    body = _airframe(airframe, sim)
+    body = _airframe(airframe, sim, console)
     _check_asked(asks=asks)
     check_folder(out, overwrite=overwrite)
     settings = load_settings(
@@ -403,10 +403,14 @@ def _flag(option: str) -> str:
     return "--" + option.replace("_", "-")
 
 
-def _airframe(path: Path | None, sim: str | None) -> Airframe:
-    """What is flown; nobody flies a real drone by the simulated one's transforms unawares."""
+def _airframe(path: Path | None, sim: str | None, console: Console) -> Airframe:
+    """What is flown; nobody flies a real drone by the simulated one's numbers unawares."""
     if path is not None:
-        return load_airframe(path)
+        body = load_airframe(path)
+        if body.assumed and sim is None:
+            what = ", ".join(body.assumed)
+            _warn(console, f"warning: {path} has no {what}: the default drone's fly", "yellow")
+        return body
     if sim is None:
         raise AirframeError("--airframe is needed: where camera and arm sit on this drone")
     return Airframe()

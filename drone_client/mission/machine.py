@@ -20,6 +20,7 @@ from drone_client.mission.move import (
     Move,
     clock_stands,
     is_good,
+    lasts,
     phase_lasts,
     since,
     trusted,
@@ -110,6 +111,7 @@ def _looked(state: MissionState, obs: Observation, settings: MissionSettings) ->
     state = replace(
         state,
         hands_off=state.hands_off or taken_away(state, obs, settings) is not None,
+        unknown_since_ns=since(state.unknown_since_ns, seen is None, now_ns),
         good_since_ns=since(state.good_since_ns, good, now_ns),
         aligned_since_ns=since(
             state.aligned_since_ns,
@@ -284,7 +286,12 @@ def _away(state: MissionState, obs: Observation, blind: bool, settings: MissionS
     """Back off while it can, to the stand-off distance; then stand, and let the vehicle go."""
     if state.hands_off or state.given_back or clock_stands(state):
         return Intent(blind=blind, give_back=True)
-    over = phase_lasts(state, settings.brake_s if blind else settings.retreat_max_s)
+    # One tick without knowledge gives nothing back, for that is never taken again
+    lost_ns = state.unknown_since_ns
+    lost = lost_ns is not None and lasts(
+        max(lost_ns, state.since_ns), state.now_ns, settings.brake_s
+    )
+    over = lost or phase_lasts(state, settings.retreat_max_s)
     x_m = math.nan if state.tip_target is None else state.tip_target[0]
     if over or x_m >= settings.standoff_m - settings.standoff_tolerance_m:
         return Intent(blind=blind, give_back=True)

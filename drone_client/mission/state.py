@@ -132,6 +132,8 @@ class MissionState:
 
     lost_ns: int | None = None
     """When the drone last did not know where it is: older measurements do not count any more."""
+    unknown_since_ns: int | None = None
+    """Since when nothing that may be flown by is known of the target."""
     good_since_ns: int | None = None
     """Since when the target is seen well."""
     aligned_since_ns: int | None = None

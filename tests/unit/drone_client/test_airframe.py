@@ -38,6 +38,38 @@ def test_what_is_left_out_keeps_its_default(tmp_path):
     np.testing.assert_array_equal(airframe.body_from_tip.matrix, default.body_from_tip.matrix)
 
 
+def test_what_is_left_out_is_named(tmp_path):
+    """For whoever flies another drone by the default's numbers."""
+    path = tmp_path / "drone.toml"
+    path.write_text("[body_from_tip]\ntranslation_m = [0.7, 0, 0]")
+    assert load_airframe(path).assumed == ("body_from_camera", "part")
+    assert load_airframe(EXAMPLE).assumed == Airframe().assumed == ()
+
+
+SIDE = "normal = [0, 1, 0]\noffset_m = -2"
+
+
+@pytest.mark.parametrize(
+    ("plane", "names"),
+    [
+        (f"name = 'side'\n{SIDE}", ["wall", "side"]),
+        (f"name = 'wall'\n{SIDE}", ["target's wall", "wall"]),
+        ("name = 'far'\noffset_m = -3", ["wall", "far"]),
+        ("name = 'floor'\nframe = 'world'\nnormal = [1, 0, 0]", ["wall", "floor"]),
+        ("name = 'own'\noffset_m = -0.1\nclearance_m = 0.2", ["own"]),
+    ],
+)
+def test_the_wall_of_the_target_is_kept_clear_of_whatever_else_is(tmp_path, plane, names):
+    """A side wall in the file does not take it away; a plane that faces as it does is it."""
+    path = tmp_path / "drone.toml"
+    path.write_text(f"[[keep_out]]\n{plane}")
+    found = load_airframe(path).keep_outs
+    assert [k.name for k in found] == names
+    if len(names) > 1:
+        (default,) = Airframe().keep_outs
+        assert replace(found[0], name=default.name) == default
+
+
 def test_the_default_camera_looks_ahead_and_down():
     """Level, the optical axis is the body's x, the picture's right its -y, down its -z."""
     down = Rotation.from_euler("y", 10.0, degrees=True).as_matrix()
@@ -120,7 +152,7 @@ def test_more_planes_than_the_safety_filter_takes_are_told_on_the_ground():
     (wall,) = Airframe().keep_outs
     drone = replace(Airframe(), keep_outs=(wall,) * (MAX_KEEP_OUTS - 1))
     assert len(drone.planes(0.0, None)) == MAX_KEEP_OUTS
-    with pytest.raises(ValueError, match=r"7 planes with floor and ceiling, .* takes 6: leave out"):
+    with pytest.raises(ValueError, match=r"7 planes with wall, .* takes 6: leave out"):
         drone.planes(0.0, 3.0)
 
 

@@ -163,6 +163,24 @@ def test_the_vehicle(changes: dict, name: str, finding: Finding):
     assert check.finding is finding
 
 
+def test_a_vehicle_that_gets_its_vio_from_us_has_no_place_yet():
+    """Nobody is told to give it what is given already."""
+    facts = replace(VEHICLE, state=replace(STATE, world_from_body=None))
+    assert of(list(judge_vehicle(facts, "udp/x:1")), "pose").finding is Finding.FAULT
+    check = of(list(judge_vehicle(facts, "udp/x:1", feeds_vio=True)), "pose")
+    assert check.finding is Finding.UNCHECKED
+    assert "--vio-topic" in check.found
+
+
+def test_an_airframe_that_leaves_out_the_propellers_is_warned_of():
+    """They are flown as of another drone; what is worse is told first."""
+    check = judge_airframe(replace(Airframe(), assumed=("part",)))
+    assert check.finding is Finding.WARNING
+    assert "part of the default drone" in check.found
+    short = replace(Airframe(), assumed=("part",), body_from_tip=pose((0.2, 0, 0)))
+    assert judge_airframe(short).finding is Finding.FAULT
+
+
 def test_a_body_on_its_back_is_a_frame_that_is_wrong():
     """Its z points down: NED taken for ENU, or a board that is mounted otherwise."""
     over = replace(STATE, world_from_body=Pose(np.zeros(3), np.array([0.0, 1.0, 0.0, 0.0])))

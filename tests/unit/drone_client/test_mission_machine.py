@@ -253,6 +253,16 @@ def test_an_end_while_the_vehicle_is_ours_backs_off_first(phase, what, reason) -
     assert t.intent == Intent(STILL, give_back=True)
 
 
+def test_a_moment_without_knowledge_does_not_end_the_backing_off() -> None:
+    """What is given back is never taken again: half a second of it does, however old the abort."""
+    t = in_phase(Phase.APPROACH).glide(0.3).tick(seen(0.3), order=Order.ABORT)
+    t.ticks(2.0, seen(0.3))
+    assert t.tick(None).intent == Intent(STILL, blind=True)
+    assert t.tick(seen(0.3)).intent.goal.aim is Aim.RETREAT
+    assert t.ticks(SETTINGS.brake_s - 0.1, None).intent == Intent(STILL, blind=True)
+    assert t.ticks(0.2, None).intent == Intent(STILL, blind=True, give_back=True)
+
+
 @pytest.mark.parametrize("phase", [p for p in Phase if not p.final])
 def test_an_odometry_that_jumps_stops_everything(phase) -> None:
     """BRAKE, blind; what was measured before does not count; then back to the stand-off point."""

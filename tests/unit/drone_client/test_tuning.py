@@ -41,6 +41,8 @@ def test_what_is_written_is_taken_and_the_rest_stays(tmp_path: Path):
     assert parts.odometry.budget == PARTS.odometry.budget
     assert (parts.gate, parts.uplink) == (PARTS.gate, PARTS.uplink)
     assert tuned(tmp_path, "") == PARTS
+    both = "[mission]\nstandoff_m = 0.8\n[filter]\nstandoff_m = 0.8\nlag_s = 0.35"
+    assert tuned(tmp_path, both).control.filter.standoff_m == 0.8
 
 
 @pytest.mark.parametrize(
@@ -68,6 +70,9 @@ def test_what_is_written_is_taken_and_the_rest_stays(tmp_path: Path):
         ("[odometry.budget]\nsigma_m = 0", "OdometryBudget.sigma_m = 0.0 is not in"),
         ("[odometry.budget]\ndrift_mps = 0.02", "exceeds filter.drift_mps = 0.01: "),
         ("[filter]\ndrift_mps = 0.005", "exceeds filter.drift_mps = 0.005: "),
+        ("[mission]\nstandoff_m = 0.8", "and filter.standoff_m = 1: "),
+        ("[filter]\nstandoff_m = 0.8", "mission.standoff_m = 1 and filter.standoff_m = 0.8: "),
+        ("[guidance]\nlag_s = 0.35", "guidance.lag_s = 0.35 exceeds filter.lag_s = 0.3: "),
         ("[mission", "Expected"),
         ("x" * 70_000, "over 65536 bytes"),
     ],
