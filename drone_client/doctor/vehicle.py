@@ -139,9 +139,7 @@ class _Heights:
             self._pairs.append((float(state.world_from_body.translation[2]), upright_m))
 
 
-def judge_vehicle(
-    facts: VehicleFacts, address: str, *, feeds_vio: bool = False
-) -> Sequence[Check]:
+def judge_vehicle(facts: VehicleFacts, address: str, *, feeds_vio: bool = False) -> Sequence[Check]:
     """All checks of the vehicle.
 
     Args:

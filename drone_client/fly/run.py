@@ -19,6 +19,7 @@ from drone_client.flight import Flight
 from drone_client.flight_settings import FlightSettings
 from drone_client.fly.cockpit import Cockpit, View
 from drone_client.fly.dry_run import Unheard
+from drone_client.fly.feed_on import FeedOn
 from drone_client.fly.orders import Orders
 from drone_client.fly.vehicle_pose import VehiclePose
 from drone_client.ledger import Ledger
@@ -61,6 +62,8 @@ class FlyOptions:
     plot: bool = True
     overwrite: bool = False
     """An earlier run in ``out`` may go."""
+    feeds_on: bool = False
+    """What the robot's VIO says is passed on until the motors stand still: nobody else may."""
 
 
 class _Run:
@@ -275,45 +278,54 @@ def fly(
         parts = replace(parts, control=control)
     ledger = Ledger(options.out, overwrite=options.overwrite, own_eyes=settings.onboard_fallback)
     run = _Run(source, vehicle, airframe, parts, link, clock, ledger, on_accepted, odometry)
+    after = FeedOn(
+        run.feed if options.feeds_on and not options.dry_run else None,
+        vehicle,
+        clock,
+        cockpit.tell,
+        lambda: cockpit.show(View(vehicle.state(), None, run.flight.tally, ())),
+    )
     agreed, at_end = False, {}
-    try:
-        run.start()
-        workers = wait_for_worker(link, settings)
-        ledger.event(clock.now_ns(), "workers", live=workers)
-        _wait_for_vehicle(vehicle, options.wait_for_vehicle_s)
-        agreed = options.dry_run or cockpit.may_fly(_view(run, vehicle, link))
-        if agreed:
-            ledger.event(clock.now_ns(), "agreed", dry_run=options.dry_run)
-            run.orders.give(Order.GO)
-            vehicle.engage()
-            if (why := _watch(run, vehicle, link, cockpit, clock.now_ns())) is not None:
-                run.sentences.put(why.sentence)
-                ledger.event(clock.now_ns(), why.event, sentence=why.sentence)
-    except KeyboardInterrupt:
-        vehicle.release()  # before a word: a terminal may take its time
-        run.broken_off = True
-        cockpit.tell("interrupted")
-    finally:
-        vehicle.release()
-        run.over.wait(LEAVE_S)
-        run.stop()
-        at_end = take_down(run.flight, link)
-        _tell_all(run, cockpit)
-    mission = None if run.decision is None else run.decision.mission
-    about = {
-        "agreed": agreed,
-        "dry_run": options.dry_run,
-        "broken_off": run.broken_off,
-        "phase": None if mission is None else mission.phase.value,
-        "reason": None if mission is None else mission.reason.value,
-        "attempts": 0 if mission is None else mission.attempts,
-        "camera": source.counts() | {"frozen": run.frozen_pictures},
-        "camera_error": None if run.camera_error is None else str(run.camera_error),
-        **({} if run.feed is None else {"odometry": run.feed.counts()}),
-        **at_end,
-        **more(),
-    }
-    return report(options.out, settings, run.flight, ledger, about, plot=options.plot)
+    with after:
+        try:
+            run.start()
+            workers = wait_for_worker(link, settings)
+            ledger.event(clock.now_ns(), "workers", live=workers)
+            _wait_for_vehicle(vehicle, options)
+            agreed = options.dry_run or cockpit.may_fly(_view(run, vehicle, link))
+            if agreed:
+                ledger.event(clock.now_ns(), "agreed", dry_run=options.dry_run)
+                run.orders.give(Order.GO)
+                vehicle.engage()
+                if (why := _watch(run, vehicle, link, cockpit, clock.now_ns())) is not None:
+                    run.sentences.put(why.sentence)
+                    ledger.event(clock.now_ns(), why.event, sentence=why.sentence)
+        except KeyboardInterrupt:
+            vehicle.release()  # before a word: a terminal may take its time
+            run.broken_off = True
+            cockpit.tell("interrupted")
+        finally:
+            vehicle.release()
+            run.over.wait(LEAVE_S)
+            after.begin()
+            run.stop()
+            at_end = take_down(run.flight, link)
+            _tell_all(run, cockpit)
+        mission = None if run.decision is None else run.decision.mission
+        about = {
+            "agreed": agreed,
+            "dry_run": options.dry_run,
+            "broken_off": run.broken_off,
+            "phase": None if mission is None else mission.phase.value,
+            "reason": None if mission is None else mission.reason.value,
+            "attempts": 0 if mission is None else mission.attempts,
+            "camera": source.counts() | {"frozen": run.frozen_pictures},
+            "camera_error": None if run.camera_error is None else str(run.camera_error),
+            **({} if run.feed is None else {"odometry": run.feed.counts()}),
+            **at_end,
+            **more(),
+        }
+        return report(options.out, settings, run.flight, ledger, about, plot=options.plot)
 
 
 class _NoEnd(NamedTuple):
@@ -363,12 +375,13 @@ def _view(run: _Run, vehicle: FlyingAutopilot, link: Link) -> View:
     return View(vehicle.state(), run.decision, run.flight.tally, link.workers())
 
 
-def _wait_for_vehicle(vehicle: FlyingAutopilot, timeout_s: float) -> None:
+def _wait_for_vehicle(vehicle: FlyingAutopilot, options: FlyOptions) -> None:
     """Until it says where it is.
 
     Raises:
         AutopilotError: it does not, in time.
     """
+    timeout_s = options.wait_for_vehicle_s
     give_up = time.monotonic() + timeout_s
     while True:
         state = vehicle.state()
@@ -385,4 +398,5 @@ def _wait_for_vehicle(vehicle: FlyingAutopilot, timeout_s: float) -> None:
     raise AutopilotError(
         f"the autopilot ({state.mode}) does not say where it is within {timeout_s:g} s: its "
         "estimator has no position; see drone-client doctor"
+        + ("; a dry run passes no VIO on to it (--vio-topic)" if options.dry_run else "")
     )
