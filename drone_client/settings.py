@@ -88,6 +88,9 @@ class ClientSettings(BaseSettings):
     ros_flavour: Flavour = Field(
         Flavour.BRIDGE, description="bridge: zenoh-bridge-ros2dds; rmw_zenoh: nodes that speak it"
     )
+    ros_domain: int = Field(
+        0, ge=0, le=232, description="ROS_DOMAIN_ID of those nodes; a bridge has its own"
+    )
     onboard_fallback: bool = Field(
         False,
         description="while no fresh result is left, look for the target on board, where the last "

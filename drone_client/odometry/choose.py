@@ -18,7 +18,7 @@ def open_odometry(
     """The source of the topics; None: no topic is named.
 
     Args:
-        settings: where ROS 2 is (``ros_connect``, ``ros_flavour``).
+        settings: where ROS 2 is (``ros_connect``, ``ros_flavour``, ``ros_domain``).
         clock: the drone's.
         vio_topic: of ``nav_msgs/Odometry``.
         lidar_topic: of ``sensor_msgs/Range``, looking down.
@@ -36,4 +36,5 @@ def open_odometry(
         lidar_topic=lidar_topic,
         ahead_topic=ahead_topic,
         flavour=settings.ros_flavour,
+        domain=settings.ros_domain,
     )

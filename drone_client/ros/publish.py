@@ -22,6 +22,7 @@ def open_ros(settings: ClientSettings, clock: Clock) -> RosPoses | None:
         settings.ros_topic,
         clock,
         flavour=settings.ros_flavour,
+        domain=settings.ros_domain,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from contextlib import suppress
 from dataclasses import replace
 
@@ -23,7 +24,7 @@ from drone_client.odometry.zenoh import RosOdometry
 from drone_client.ros.cdr_read import read_odometry, read_range
 from drone_client.ros.names import ODOMETRY, RANGE, Flavour, key
 from drone_client.settings import ClientSettings
-from rgbd_wire.clock import ManualClock
+from rgbd_wire.clock import ManualClock, MonotonicClock
 from tests.service_process import free_port
 from tests.unit.drone_client.builders import MS, SECOND, eventually, pose, rotation_of
 from tests.unit.drone_client.ros_robot import (
@@ -319,6 +320,25 @@ def test_the_command_line_names_the_topics(endpoint):
     source.close()
     with pytest.raises(LinkError, match="is no ROS 2 topic"):
         open_odometry(settings, ManualClock(NOW_NS), ahead_topic="a b")
+
+
+def test_the_domain_of_the_settings_is_listened_to(start, endpoint):
+    """And no other: a neighbour's robot says where it is under the same topic."""
+    robot, clock = start(Robot, endpoint), MonotonicClock()
+    settings = ClientSettings(ros_connect=endpoint, ros_flavour=Flavour.RMW_ZENOH, ros_domain=7)
+    source = start(open_odometry, settings, clock, vio_topic="vio/odometry")
+
+    def heard() -> bool:
+        near, far = (
+            odometry_cdr(unix_ns=time.time_ns()),
+            odometry_cdr(unix_ns=time.time_ns(), body=pose((9, 9, 9))),
+        )
+        robot.put(key(Flavour.RMW_ZENOH, "vio/odometry", ODOMETRY, 0), far)
+        robot.put(key(Flavour.RMW_ZENOH, "vio/odometry", ODOMETRY, 7), near)
+        return source.odometry() is not None
+
+    assert eventually(heard, timeout_s=20)
+    np.testing.assert_allclose(source.odometry().world_from_body.matrix, BODY.matrix)
 
 
 def test_a_vio_that_falls_silent_is_noticed_and_one_that_never_spoke_is_not() -> None:

@@ -13,7 +13,9 @@ from zenoh.ext import Int64, z_deserialize
 
 from drone_client.errors import LinkError
 from drone_client.ros.names import POSE_STAMPED, POSE_WITH_COVARIANCE_STAMPED, Flavour
+from drone_client.ros.publish import open_ros
 from drone_client.ros.zenoh import RosPoses
+from drone_client.settings import ClientSettings
 from rgbd_wire.clock import ManualClock
 from tests.service_process import free_port
 from tests.unit.drone_client.builders import eventually, pose
@@ -169,6 +171,20 @@ def test_rmw_zenoh_gets_its_keys_attachments_and_tokens(start, endpoint):
     poses.close()
     gone = [router.tokens.get(timeout=20) for _ in range(3)]
     assert [token.kind for token in gone] == [zenoh.SampleKind.DELETE] * 3
+
+
+def test_the_domain_of_the_settings_is_published_in(start, endpoint):
+    """Nodes of another ``ROS_DOMAIN_ID`` than 0 hear it as well."""
+    router = start(Session, endpoint)
+    router.subscribe("7/drone_1/**")
+    settings = ClientSettings(
+        ros_topic="drone_1/target_pose",
+        ros_connect=endpoint,
+        ros_flavour=Flavour.RMW_ZENOH,
+        ros_domain=7,
+    )
+    poses = start(open_ros, settings, ManualClock(NOW_NS))
+    assert all(key.startswith("7/") for key in publish_until_heard(poses, router))
 
 
 def test_sequences_count_up_one_by_one_on_each_topic(start, endpoint):
