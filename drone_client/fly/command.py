@@ -191,6 +191,9 @@ def fly(
     backs off and is given back; once more: it is given back where it is. With --dry-run no mode is
     asked for and no command sent: carry the drone by hand and look at the commands.
 
+    With --vio-topic the robot's VIO is passed on to the autopilot from the first second until the
+    motors stand still, for the vehicle may know its place by nothing else: land it, or Ctrl-C.
+
     With --sim the same client flies a simulated drone, through a real service that is started for
     it, or the one of --connect; nobody is asked.
 
