@@ -12,8 +12,10 @@ from __future__ import annotations
 import ipaddress
 import os
 import re
+import shlex
+import shutil
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -200,12 +202,40 @@ def write(folder: Path, name: str, data: bytes, *, is_private: bool) -> None:
 
 
 def read_tunnel_keys(folder: Path) -> dict[str, str]:
-    """Keys [hex] of the drones that have one already, from their own folders."""
-    keys = {}
-    for path in sorted(folder.glob(f"*/{TUNNEL_KEY}")):
-        name, _, key = path.read_text(encoding="ascii").strip().partition(" ")
-        keys[name] = key
-    return keys
+    """Lines of the drones that have a key already, by name, from their own folders."""
+    paths = sorted(folder.glob(f"*/{TUNNEL_KEY}"))
+    lines = (line for path in paths for line in _lines(path))
+    return {name: line for line in lines if (name := _named_in(line))}
+
+
+def withheld(folder: Path) -> dict[str, Path]:
+    """Drones with a key that a worker's file does not hold, and that file.
+
+    Somebody took the line out, and a thief may have the key: no later run puts it back.
+    """
+    files = sorted(folder.glob(f"*/{TUNNEL_KEYS}"))
+    return {
+        name: path
+        for name, line in read_tunnel_keys(folder).items()
+        for path in files
+        if _words(line) not in map(_words, _lines(path))
+    }
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="ascii").splitlines()
+    except UnicodeDecodeError:
+        raise CertificatesError(f"{path} is not ASCII text") from None
+
+
+def _words(line: str) -> list[str]:
+    """Name and key of a line, without its comment."""
+    return line.partition("#")[0].split()
+
+
+def _named_in(line: str) -> str:
+    return next(iter(_words(line)), "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,6 +278,38 @@ def check(order: Order) -> None:
         )
 
 
+def remove(folder: Path, drones: Sequence[str], now: datetime) -> dict[str, datetime]:
+    """Take drones' lines out of the workers' files, and their folders away.
+
+    Returns:
+        Until when the certificate of each is valid, of those that have not expired.
+
+    Raises:
+        CertificatesError: one of them is no drone here; nothing was changed.
+    """
+    certificates = _drones_by_certificate(folder)
+    files = sorted(folder.glob(f"*/{TUNNEL_KEYS}"))
+    listed = {_named_in(line) for path in files for line in _lines(path)}
+    known = (listed | read_tunnel_keys(folder).keys() | certificates.keys()) - {""}
+    # A folder that is no drone's stays, whatever stands in a list
+    known -= {p.parent.name for p in folder.glob("*/cert.pem")} - certificates.keys() | RESERVED
+    for name in drones:
+        if name not in known or not NAME.fullmatch(name):
+            raise CertificatesError(
+                f"{name!r} is no drone in {folder}; there are: {', '.join(sorted(known)) or 'none'}"
+            )
+    for path in files:  # first, for without a line a key stays out
+        lines = _lines(path)
+        kept = [line for line in lines if _named_in(line) not in drones]
+        if kept != lines:
+            _write_lines(path.parent, kept)
+    for name in drones:
+        if (folder / name).exists():
+            shutil.rmtree(folder / name)
+    ends = {n: certificates[n].not_valid_after_utc for n in drones if n in certificates}
+    return {name: end for name, end in ends.items() if end > now}
+
+
 def make(order: Order, now: datetime) -> None:
     """Write all that is ordered; the authority of an earlier run signs again.
 
@@ -255,6 +317,7 @@ def make(order: Order, now: datetime) -> None:
         CertificatesError: nothing was written, or the authority cannot be used.
     """
     check(order)
+    out = withheld(order.folder).keys() - (order.drones if order.with_tunnel_keys else ())
     home = order.folder / AUTHORITY
     if home.exists():
         authority = load_authority(home, now)
@@ -274,23 +337,38 @@ def make(order: Order, now: datetime) -> None:
         for name in order.drones:
             line = f"{name} {generate_key()}\n"
             write(order.folder / name, TUNNEL_KEY, line.encode(), is_private=True)
-    _give_tunnel_keys(order)
+    _give_tunnel_keys(order, out)
 
 
-def _give_tunnel_keys(order: Order) -> None:
-    """All drones' keys to all workers, those of earlier runs too: a new drone is known to all."""
+def _give_tunnel_keys(order: Order, out: Set[str]) -> None:
+    """A new drone's key to all workers, a new worker all keys but those that were taken away."""
     keys = read_tunnel_keys(order.folder)
-    if not keys:
-        return
-    lines = "".join(f"{name} {key}\n" for name, key in sorted(keys.items()))
-    workers = {path.parent.name for path in order.folder.glob(f"*/{TUNNEL_KEYS}")}
-    for name in sorted(workers | set(order.workers)):
-        write(order.folder / name, TUNNEL_KEYS, lines.encode(), is_private=True)
+    new = [keys[name] for name in sorted(order.drones) if order.with_tunnel_keys]
+    known = {path.parent.name for path in order.folder.glob(f"*/{TUNNEL_KEYS}")}
+    for name in sorted(known):
+        # What else stands in the file is the operator's, and so is what does not
+        lines = _lines(order.folder / name / TUNNEL_KEYS)
+        kept = [line for line in lines if not new or _named_in(line) not in order.drones]
+        if kept + new != lines:
+            _write_lines(order.folder / name, kept + new)
+    lines = [keys[name] for name in sorted(keys.keys() - out)]
+    for name in sorted(set(order.workers) - known):
+        if lines:
+            _write_lines(order.folder / name, lines)
+
+
+def _write_lines(folder: Path, lines: Iterable[str]) -> None:
+    text = "".join(f"{line}\n" for line in lines)
+    write(folder, TUNNEL_KEYS, text.encode(), is_private=True)
 
 
 def known_drones(folder: Path) -> list[str]:
-    """Names of all drones that have a certificate here, of this run and of earlier ones."""
-    names = []
+    """Names of all drones that have a certificate here and whose key nobody took away."""
+    return sorted(_drones_by_certificate(folder).keys() - withheld(folder).keys())
+
+
+def _drones_by_certificate(folder: Path) -> dict[str, x509.Certificate]:
+    drones = {}
     for path in sorted(folder.glob("*/cert.pem")):
         try:
             certificate = x509.load_pem_x509_certificate(path.read_bytes())
@@ -298,8 +376,8 @@ def known_drones(folder: Path) -> list[str]:
         except (ValueError, OSError, x509.ExtensionNotFound):
             continue  # somebody else's
         if ExtendedKeyUsageOID.SERVER_AUTH not in uses:
-            names.append(path.parent.name)
-    return names
+            drones[path.parent.name] = certificate
+    return drones
 
 
 def _split(text: str) -> tuple[str, ...]:
@@ -312,29 +390,56 @@ def next_steps(order: Order) -> str:
     worker = order.workers[0] if order.workers else "WORKER"
     drone = order.drones[0] if order.drones else "DRONE"
     drones = ",".join(known_drones(folder)) or drone
-    host = next(iter(order.hosts), "localhost")
+    host = next(iter(order.hosts), "localhost").strip("[]")
+    anywhere = "0.0.0.0"
+    if ":" in host:
+        host, anywhere = f"[{host}]", "[::]"  # which takes IPv4 as well
+    at_worker, at_drone = folder / worker, folder / drone
     lines = [
-        f"# worker {worker}: copy {folder / worker} there, and nothing else; a new drone is let in",
-        "# over Zenoh when the worker starts again, over the tunnel within a second",
-        f"EDGE_ZENOH_TLS={folder / worker} EDGE_ZENOH_DRONES={drones} \\",
+        f"# worker {worker}: copy {_quoted(at_worker)} there, and nothing else; a new drone is let",
+        "# in over Zenoh when the worker starts again, over the tunnel within a second",
+        f"EDGE_ZENOH_TLS={_quoted(at_worker)} EDGE_ZENOH_DRONES={drones} \\",
     ]
     if order.with_tunnel_keys:
         lines += [
-            f"EDGE_UDP_LISTEN=0.0.0.0:7448 EDGE_TUNNEL_KEYS={folder / worker / TUNNEL_KEYS} \\",
+            f"EDGE_UDP_LISTEN={_quoted(f'{anywhere}:7448')} "
+            f"EDGE_TUNNEL_KEYS={_quoted(at_worker / TUNNEL_KEYS)} \\",
         ]
     lines += [
-        f"  edge-service serve --name {worker} --listen tls/0.0.0.0:7447",
-        f"# drone {drone}: the same with {folder / drone}",
-        f"DRONE_NAME={drone} DRONE_TLS={folder / drone} DRONE_CONNECT=tls/{host}:7447 \\",
+        f"  edge-service serve --name {worker} --listen {_quoted(f'tls/{anywhere}:7447')}",
+        f"# drone {drone}: the same with {_quoted(at_drone)}",
+        f"DRONE_NAME={drone} DRONE_TLS={_quoted(at_drone)} "
+        f"DRONE_CONNECT={_quoted(f'tls/{host}:7447')} \\",
         "  drone-client replay RECORDING",
     ]
     if order.with_tunnel_keys:
         lines += [
             "# or over the UDP tunnel, which is made for a radio:",
-            f"DRONE_NAME={drone} DRONE_KEY_FILE={folder / drone / TUNNEL_KEY} \\",
-            f"  DRONE_CONNECT=udp/{host}:7448 drone-client replay RECORDING",
+            f"DRONE_NAME={drone} DRONE_KEY_FILE={_quoted(at_drone / TUNNEL_KEY)} \\",
+            f"  DRONE_CONNECT={_quoted(f'udp/{host}:7448')} drone-client replay RECORDING",
         ]
     return "\n".join(lines)
+
+
+def steps_after_removal(folder: Path, drones: Sequence[str], valid: dict[str, datetime]) -> str:
+    """What is to be done now, since nothing but files in the folder has changed."""
+    lines = [f"# removed: {', '.join(drones)}"]
+    if files := sorted(folder.glob(f"*/{TUNNEL_KEYS}")):
+        lines += [
+            "# over the tunnel: bring each worker its file, or the cluster its secret; a second",
+            "# after it has come, the drone is out",
+            *(f"#   {_quoted(path)}" for path in files),
+        ]
+    for name, end in valid.items():
+        lines += [
+            f"# over Zenoh: the certificate of {name} is valid until {end:%Y-%m-%d %H:%M} UTC:",
+            "# give the name to no other drone before, and start the workers again without it",
+        ]
+    return "\n".join([*lines, f"EDGE_ZENOH_DRONES={','.join(known_drones(folder))}"])
+
+
+def _quoted(word: object) -> str:
+    return shlex.quote(str(word))
 
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -367,6 +472,14 @@ def certificates(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="make ends anew that are there already")
     ] = False,
+    removed: Annotated[
+        str,
+        typer.Option(
+            "--remove",
+            help="names of lost drones, comma separated: their folders and their lines in the "
+            "workers' tunnel.keys go for good; it says what else is to be done",
+        ),
+    ] = "",
 ) -> None:
     """Make an authority, certificates and keys for drones and workers.
 
@@ -376,13 +489,25 @@ def certificates(
     order = Order(
         folder, _split(drones), _split(workers), _split(hosts), days, tunnel_keys, overwrite
     )
+    lost = _split(removed)
     try:
-        make(order, datetime.now(UTC))
+        if lost:
+            if order.drones or order.workers:
+                raise CertificatesError("--remove makes nothing: run it again for the others")
+            typer.echo(steps_after_removal(folder, lost, remove(folder, lost, datetime.now(UTC))))
+        else:
+            make(order, datetime.now(UTC))
+            typer.echo(next_steps(order))
     except CertificatesError as error:
         sys.exit(f"error: {error}")
     except OSError as error:
         sys.exit(f"error: {error.filename or folder}: {error.strerror}; give a FOLDER to write to")
-    typer.echo(next_steps(order))
+    for name, path in withheld(folder).items():
+        typer.echo(
+            f"warning: {name} has a key and no line in {path}, and is kept out: --remove {name} "
+            f"forgets it, --drones {name} --tunnel-keys --overwrite lets it in with a new key",
+            err=True,
+        )
 
 
 if __name__ == "__main__":

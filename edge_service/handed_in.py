@@ -18,6 +18,8 @@ from rgbd_wire.errors import CameraFileError, DecodeError
 from rgbd_wire.frame import RgbdFrame
 
 END_OF_JPEG = b"\xff\xd9"
+MAX_PADDING_BYTES = 1024
+"""What cameras and phones write behind a JPEG's end; where there is more, no end is looked for."""
 
 
 def frame_of_files(color: bytes, depth: bytes | None, camera_json: bytes | str) -> RgbdFrame:
@@ -46,10 +48,11 @@ def _color(data: bytes, camera: CameraIntrinsics) -> NDArray[np.uint8]:
     if header.kind is PictureKind.JPEG:
         if header.channels != 3:
             raise InputError("color", f"the JPEG has {header.channels} channels and must have 3")
-        if END_OF_JPEG not in data[-1024:]:  # libjpeg would fill the rest with grey
+        end = data.rfind(END_OF_JPEG, max(0, len(data) - MAX_PADDING_BYTES - len(END_OF_JPEG)))
+        if end < 0:  # libjpeg would fill the rest with grey
             raise InputError("color", "the JPEG is cut off")
         try:
-            return decode_color(data, camera.width, camera.height)
+            return decode_color(data[: end + len(END_OF_JPEG)], camera.width, camera.height)
         except DecodeError as error:
             raise InputError("color", error.detail) from None
     if header.bits != 8 or header.palette or header.channels not in (3, 4):

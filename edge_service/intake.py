@@ -61,14 +61,17 @@ class Intake:
         self._probe_quotas = Quotas(PROBES_HZ, remembered)
         self._seen_rejects: set[str] = set()
 
-    def on_message(self, drone: str, data: bytes | memoryview, t2_ns: int) -> None:
+    def on_message(self, drone: str | None, data: bytes | memoryview, t2_ns: int) -> None:
         """Take one message that was complete at ``t2_ns``; a bad one is counted and dropped.
 
         Args:
-            drone: who sent it, as the network knows it.
+            drone: who sent it, as the network knows it; None: it names nobody.
             data: the message, FRAME or PROBE.
             t2_ns: its last byte at the socket, worker's clock.
         """
+        if drone is None:
+            self._reject("no_drone", "a key that names no drone")
+            return
         try:
             if len(data) > _KIND_OFFSET and data[_KIND_OFFSET] == Kind.PROBE:
                 self._on_probe(drone, data, t2_ns)

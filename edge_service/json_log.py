@@ -9,8 +9,14 @@ import sys
 from edge_service.log_limit import LogLimit
 
 _STANDARD = frozenset(logging.makeLogRecord({}).__dict__) | {"message", "asctime", "taskName"}
-_AT_STRANGERS_WILL = ("uvicorn", "asyncio")
-"""Loggers that warn of what anybody may send."""
+_BOUNDED = (
+    "uvicorn",
+    "asyncio",
+    "edge_service.http",
+    "edge_service.pipeline",
+    "edge_service.worker",
+)
+"""Loggers that warn of what anybody may send, or of what a lasting fault does to every frame."""
 _FOR_TERMINALS = {"color_message"}  # uvicorn's second copy of its message
 
 
@@ -35,6 +41,6 @@ def configure(level: str) -> None:
     """Send records of ``level`` and above to stderr."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter())
-    for name in _AT_STRANGERS_WILL:
+    for name in _BOUNDED:
         handler.addFilter(LogLimit(name))
     logging.basicConfig(level=level, handlers=[handler], force=True)

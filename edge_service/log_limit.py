@@ -1,7 +1,8 @@
 """A bound on what others can make us log: each kind of record once a minute, and how often it was.
 
 Whoever reaches the HTTP port can send garbage, as often as he likes, and each piece of it is a
-warning of the HTTP server's. A log that grows with it fills a disk and hides what matters.
+warning of the HTTP server's. A detector that is broken fails with every frame. A log that grows
+with it fills a disk and hides what matters.
 """
 
 from __future__ import annotations

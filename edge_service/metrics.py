@@ -27,7 +27,7 @@ BATCH_FRAMES = (1, 2, 3, 4, 6, 8, 12, 16)
 DROP_PLACES = ("intake", "worker")
 BUILD_FACTS = ("engine", "precision", "threads")
 """Of what a detector says of itself, the labels of ``edge_build_info``."""
-OWN_REJECTS = ("repeated", "wrong_drone", "too_fast", "fault")
+OWN_REJECTS = ("repeated", "wrong_drone", "no_drone", "too_fast", "fault")
 """Why messages are refused beside the reasons of ``Reject``."""
 
 

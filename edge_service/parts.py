@@ -14,6 +14,7 @@ from edge_service.detector.engines import open_engine
 from edge_service.detector.self_check import require, self_check
 from edge_service.errors import SelfCheckError, SettingsError, WeightsError
 from edge_service.guarded import GuardedDetector
+from edge_service.intake import PROBES_HZ
 from edge_service.pipeline import Localise, Pipeline
 from edge_service.settings import EdgeSettings
 from edge_service.transport import Transport
@@ -24,6 +25,7 @@ from rgbd_wire.clock import Clock
 from rgbd_wire.tls_files import tls_files
 from rgbd_wire.tunnel.errors import KeyFileError
 from rgbd_wire.tunnel.keys import KeyFile
+from rgbd_wire.tunnel.sessions import MAX_PER_DRONE, MAX_SESSIONS, MESSAGES_HZ
 from target_pose.localise import localise
 from target_pose.nesting import group
 from target_pose.pnp import localise_pnp
@@ -31,6 +33,10 @@ from target_pose.target import Level, Target, load_target
 
 METHODS: Mapping[str, Localise] = MappingProxyType({"fused": localise, "pnp": localise_pnp})
 """What localises a candidate, by the setting's name."""
+
+TUNNEL_ROOM = 1.25
+"""Messages that the tunnel hands over for each that is taken, so that it is the intake that turns a
+drone away, in words, and not the tunnel in silence."""
 
 _LOOPBACK = re.compile(r"[a-z]+/(127\.[\d.]+|localhost|\[::1\]):\d+$")
 
@@ -168,7 +174,14 @@ def make_links(settings: EdgeSettings, clock: Clock) -> Links:
                 f"--keys (EDGE_TUNNEL_KEYS): {error}; scripts/certificates FOLDER --drones ... "
                 f"--workers {settings.name} --tunnel-keys makes FOLDER/{settings.name}/tunnel.keys"
             ) from None
-        tunnel = UdpTransport(settings.name, f"udp/{settings.udp_listen}", keys, clock)
+        tunnel = UdpTransport(
+            settings.name,
+            f"udp/{settings.udp_listen}",
+            keys,
+            clock,
+            max_sessions=max(MAX_SESSIONS, MAX_PER_DRONE * settings.max_drones),
+            messages_hz=max(MESSAGES_HZ, TUNNEL_ROOM * (settings.max_rate_hz + PROBES_HZ)),
+        )
         transports.append(tunnel)
         if settings.has_zenoh and settings.zenoh_tls is None and not _is_local(settings):
             warnings.append(

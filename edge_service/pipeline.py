@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_service.detector.letterbox import check_image
 from edge_service.errors import ImageError
 from rgbd_wire.camera import RgbdCamera
 from rgbd_wire.clock import Clock
@@ -161,6 +162,13 @@ class Pipeline:
         return seen
 
     def _detect(self, frames: Sequence[RgbdFrame]) -> list[Detections | Exception]:
+        # Singled out, so that one drone's frame does not cost the others their batch
+        faults = [_fault(frame) for frame in frames]
+        fit = [frame for frame, fault in zip(frames, faults, strict=True) if fault is None]
+        seen = iter(self._detect_fit(fit))
+        return [next(seen) if fault is None else fault for fault in faults]
+
+    def _detect_fit(self, frames: Sequence[RgbdFrame]) -> list[Detections | Exception]:
         if len(frames) > 1:
             try:
                 return list(self.detector.detect_batch([frame.color_rgb for frame in frames]))
@@ -226,6 +234,15 @@ class Pipeline:
             yield
         finally:
             stages_ns[stage] = self.clock.now_ns() - start_ns
+
+
+def _fault(frame: RgbdFrame) -> ImageError | None:
+    """Why no detector takes a frame's picture; None: it may."""
+    try:
+        check_image(frame.color_rgb)
+    except ImageError as error:
+        return error
+    return None
 
 
 def bounded(reason: str) -> str:

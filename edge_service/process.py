@@ -8,7 +8,10 @@ import os
 import signal
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from importlib import metadata
+from typing import Any, NamedTuple
 
 from edge_service.http.app import create_app
 from edge_service.http.server import HttpServer, bind, url_of
@@ -27,6 +30,14 @@ EXIT_STUCK = 1
 EXIT_FORCED = 130
 
 
+class _End(NamedTuple):
+    """How it ended."""
+
+    code: int
+    thread_left: bool
+    """One is still at work, and Python would wait for it, or for another that waits for it."""
+
+
 def serve(settings: EdgeSettings) -> int:
     """Run until SIGTERM or SIGINT; the exit code.
 
@@ -34,16 +45,17 @@ def serve(settings: EdgeSettings) -> int:
         AddressError, TlsFilesError, KeyFileError, WeightsError, TargetFileError,
         SelfCheckError: it cannot start.
     """
-    code = asyncio.run(_serve(settings))
-    if code == EXIT_STUCK:
-        # Somebody else's thread may wait for the one that hangs, and Python would wait for both
+    try:
+        end = asyncio.run(_serve(settings))
+    finally:
+        _let_go_of_output()
+    if end.thread_left:
         logging.shutdown()
-        sys.stdout.flush()
-        os._exit(code)
-    return code
+        os._exit(end.code)
+    return end.code
 
 
-async def _serve(settings: EdgeSettings) -> int:
+async def _serve(settings: EdgeSettings) -> _End:
     start_s = time.monotonic()
     _say(f"edge-service {metadata.version('aerial-contact')}, worker {settings.name}")
     mailbox = Mailbox(settings.max_drones, int(settings.drone_idle_s * 1e9))
@@ -53,19 +65,32 @@ async def _serve(settings: EdgeSettings) -> int:
     http = HttpServer(create_app(state))
     http_task = asyncio.create_task(http.serve([listener]))
     stop = _stop_on_signals()
+    stopped = asyncio.create_task(stop.wait())
+    # A thread of its own: asyncio waits for those of its pool, however long a model takes to load
+    loading = asyncio.get_running_loop().run_in_executor(
+        ThreadPoolExecutor(1, thread_name_prefix="load"), _bring_up, settings, state
+    )
+    either: set[asyncio.Future[Any]] = {loading, stopped}
     try:
-        service = await asyncio.to_thread(_bring_up, settings, state)
+        await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+        if stop.is_set():
+            # No drone knows of this worker, so there is nothing to drain
+            loading.cancel()
+            _say("bye; stopped before it was ready")
+            return _End(EXIT_OK, thread_left=True)
+        service = loading.result()
+        await asyncio.to_thread(service.start)
         seconds = time.monotonic() - start_s
         _say(f"ready  in {seconds:.1f} s; Ctrl-C stops")
-        stopped = asyncio.create_task(stop.wait())
         await asyncio.wait({stopped, http_task}, return_when=asyncio.FIRST_COMPLETED)
         _say("drain  answering what is here")
         finished = await asyncio.to_thread(service.drain, time.sleep)
+        log.info("drained", extra={"finished": finished})
     finally:
         http.should_exit = True
         await http_task
     _say("bye" if finished else "bye; the worker is stuck with a frame")
-    return EXIT_OK if finished else EXIT_STUCK
+    return _End(EXIT_OK, False) if finished else _End(EXIT_STUCK, thread_left=True)
 
 
 def _bring_up(settings: EdgeSettings, state: ServiceState) -> EdgeService:
@@ -93,9 +118,7 @@ def _bring_up(settings: EdgeSettings, state: ServiceState) -> EdgeService:
         + (f", {detector['detect_p50_ms']:.1f} ms" if "detect_p50_ms" in detector else "")
     )
     _say(f"target {pipeline.target.name}, method {pipeline.method}")
-    service = EdgeService(settings, pipeline, links.transport, state, clock)
-    service.start()
-    return service
+    return EdgeService(settings, pipeline, links.transport, state, clock)
 
 
 def _stop_on_signals() -> asyncio.Event:
@@ -104,7 +127,8 @@ def _stop_on_signals() -> asyncio.Event:
 
     def handle() -> None:
         if stop.is_set():
-            print("edge-service: stopped by force", file=sys.stderr, flush=True)
+            with suppress(OSError):
+                print("edge-service: stopped by force", file=sys.stderr, flush=True)
             os._exit(EXIT_FORCED)
         stop.set()
 
@@ -115,4 +139,16 @@ def _stop_on_signals() -> asyncio.Event:
 
 
 def _say(line: str) -> None:
-    print(line, flush=True)
+    """Tell people; whoever read it may be gone or his disk full, and the drones are served on."""
+    with suppress(OSError):
+        print(line, flush=True)
+
+
+def _let_go_of_output() -> None:
+    """Drop what could not be written: Python tries again at its end, and would exit with 120."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:  # it was closed before the start
+                stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from edge_service.batching import BatchLimits, gather
 from edge_service.deadline import Deadline, Ruling
+from edge_service.errors import ImageError
 from edge_service.mailbox import Arrival, Mailbox
 from edge_service.metrics import Metrics
 from edge_service.pipeline import Output, Pipeline, bounded
@@ -136,16 +137,19 @@ class Worker:
                     decoded.append((job, frame))
         if not decoded:
             return
-        self._metrics.batch.observe(len(decoded))
         seen = self._pipeline.detect(
             [frame for _, frame in decoded], [job.stages_ns for job, _ in decoded]
         )
+        # A picture that no detector takes cost next to nothing, and tells of no other
+        taken = [what for what in seen if not isinstance(what, ImageError)]
+        if taken:
+            self._metrics.batch.observe(len(taken))
         for (job, frame), what in zip(decoded, seen, strict=True):
             with self._own_fault(job):
                 self._answer(job.arrival, self._pipeline.conclude(frame, what, job.stages_ns))
-        if not any(isinstance(what, Exception) for what in seen):
+        if taken and not any(isinstance(what, Exception) for what in taken):
             done_ns = self._clock.now_ns()
-            self._times.note(len(decoded), done_ns - begun_ns, done_ns)
+            self._times.note(len(taken), done_ns - begun_ns, done_ns)
 
     @contextmanager
     def _own_fault(self, job: _Job) -> Iterator[None]:

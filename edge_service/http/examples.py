@@ -151,6 +151,9 @@ LOCALIZE_RESPONSES: dict[int | str, dict[str, Any]] = {
         "depth",
         "depth: the picture is 320x240, the camera JSON says 640x480",
     ),
+    500: _error(
+        "A fault of the service's own.", None, "a fault of the service's own; its log says more"
+    ),
     503: _error(
         "The model is not warm yet, or too many pictures wait; see Retry-After.",
         None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
@@ -28,7 +29,10 @@ from edge_service.state import ServiceState
 from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.messages import Outcome
 
+log = logging.getLogger(__name__)
+
 NOT_WARM = "the model is not warm yet"
+FAULT = "a fault of the service's own; its log says more"
 
 
 def localize_routes(state: ServiceState) -> APIRouter:
@@ -53,7 +57,11 @@ def localize_routes(state: ServiceState) -> APIRouter:
         `depth` (16-bit PNG in units of the camera's `depth_scale_m`). With `?draw=1` the answer is
         a picture: boxes, circles, both folds, covariance, or why there is no target.
         """
-        response = await desk.serve(request, draw=draw)
+        try:
+            response = await desk.serve(request, draw=draw)
+        except Exception:  # the process boundary: what is wrong here is for the log alone
+            log.exception("picture failed")
+            response = refusal(500, FAULT, close=True)
         state.metrics.requests.labels(str(response.status_code)).inc()
         return response
 

@@ -30,7 +30,7 @@ async def read_fields(request: Request, max_bytes: int) -> dict[str, bytes]:
     Raises:
         TooLargeError: over ``max_bytes`` in all.
         TooSlowError: not whole within ``READ_TIMEOUT_S``.
-        InputError: no multipart form, or an unknown or repeated field.
+        InputError: no multipart form, an unknown or repeated field, or a text that is none.
     """
     kind = request.headers.get("content-type", "")
     if not kind.lower().startswith("multipart/form-data"):
@@ -49,14 +49,16 @@ async def read_fields(request: Request, max_bytes: int) -> dict[str, bytes]:
     try:
         async with asyncio.timeout(READ_TIMEOUT_S):
             form = await parser.parse()
+        try:
+            return await _contents(form)
+        finally:
+            await form.close()
     except TimeoutError:
         raise TooSlowError from None
     except MultiPartException as error:
         raise InputError("form", error.message) from None
-    try:
-        return await _contents(form)
-    finally:
-        await form.close()
+    except UnicodeError:  # some of Python's codecs raise it bare, and some give what is no text
+        raise InputError("form", "a text in it is none in the charset that it names") from None
 
 
 async def _contents(form: FormData) -> dict[str, bytes]:

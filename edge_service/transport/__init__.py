@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol, TypeAlias
 
-OnMessage: TypeAlias = Callable[[str, bytes | memoryview, int], None]
-"""Takes the drone that the network says it is from, the bytes of one message (FRAME or PROBE), and
-t2, the worker's monotonic time [ns] of its last byte.
+OnMessage: TypeAlias = Callable[[str | None, bytes | memoryview, int], None]
+"""Takes the drone that the network says it is from (None: it names none, and the message is there
+to be counted), the bytes of one message (FRAME or PROBE), and t2, the worker's monotonic time [ns]
+of its last byte.
 
 It is called from the network's own threads, maybe from several at once, and never raises."""
 

@@ -32,7 +32,7 @@ class MemoryTransport:
         """Hand over what ``deliver`` is given."""
         self._on_message = on_message
 
-    def deliver(self, drone: str, data: bytes | memoryview, t2_ns: int) -> None:
+    def deliver(self, drone: str | None, data: bytes | memoryview, t2_ns: int) -> None:
         """Hand over one message of a drone, as if it had come in at ``t2_ns``."""
         assert self.is_open, "deliver before close"
         assert self._on_message is not None, "deliver after start"

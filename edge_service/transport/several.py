@@ -79,8 +79,8 @@ class SeveralTransports:
                 closing.callback(transport.close)
 
     def _noting(self, transport: Transport, on_message: OnMessage) -> OnMessage:
-        def note_and_hand_over(drone: str, data: bytes | memoryview, t2_ns: int) -> None:
-            if self._heard.get(drone) is not transport:
+        def note_and_hand_over(drone: str | None, data: bytes | memoryview, t2_ns: int) -> None:
+            if drone is not None and self._heard.get(drone) is not transport:
                 self._note(drone, transport)
             on_message(drone, data, t2_ns)
 

@@ -18,7 +18,12 @@ from rgbd_wire.clock import Clock, MonotonicClock
 from rgbd_wire.streams import RESULT
 from rgbd_wire.tunnel.bucket import Bucket
 from rgbd_wire.tunnel.channel import Channel, Side
-from rgbd_wire.tunnel.datagrams import Address, DatagramSocket, bind_datagrams
+from rgbd_wire.tunnel.datagrams import (
+    SOCKET_BUFFER_BYTES,
+    DatagramSocket,
+    Way,
+    bind_datagrams,
+)
 from rgbd_wire.tunnel.endpoint import parse_endpoint
 from rgbd_wire.tunnel.errors import Counters, EndpointError, Refusal, TunnelError
 from rgbd_wire.tunnel.faults import REST_S, Faults
@@ -36,7 +41,7 @@ from rgbd_wire.tunnel.keys import KeyFile
 from rgbd_wire.tunnel.packet import RESET_BYTES, Type, first_byte, pack_reset, type_of
 from rgbd_wire.tunnel.pump import Pump
 from rgbd_wire.tunnel.seal import choose_cipher, offered_ciphers
-from rgbd_wire.tunnel.sessions import MAX_SESSIONS, Sessions, WorkerSession
+from rgbd_wire.tunnel.sessions import MAX_SESSIONS, MESSAGES_HZ, Sessions, WorkerSession
 from rgbd_wire.tunnel.shards import MAX_MESSAGE_BYTES
 
 HOUSEKEEPING_NS = 500_000_000
@@ -65,6 +70,7 @@ class UdpTransport:
         keys: of the drones; looked at again once a second.
         clock: the worker's.
         max_sessions: of all drones together.
+        messages_hz: of one drone that are handed over.
     """
 
     def __init__(
@@ -74,6 +80,7 @@ class UdpTransport:
         keys: KeyFile,
         clock: Clock | None = None,
         max_sessions: int = MAX_SESSIONS,
+        messages_hz: float = MESSAGES_HZ,
     ) -> None:
         self._worker = worker
         self._endpoint = endpoint
@@ -83,7 +90,7 @@ class UdpTransport:
         self._secret = secrets.token_bytes(32)
         self._counters = Counters()
         self._faults = Faults(self._counters)
-        self._sessions = Sessions(max_sessions)
+        self._sessions = Sessions(max_sessions, messages_hz)
         self._inits = Bucket(INITS_HZ, INITS_BURST, now_ns)
         self._resets = Bucket(RESETS_HZ, RESETS_BURST, now_ns)
         self._in_pieces: set[WorkerSession] = set()
@@ -142,6 +149,15 @@ class UdpTransport:
             raise AddressError(
                 f"{self._endpoint}: {error.strerror or error}; give another address"
             ) from None
+        granted = self._socket.receive_buffer_bytes
+        if granted < SOCKET_BUFFER_BYTES:
+            _log.warning(
+                "the tunnel's receive buffer holds %d B of %d: when frames of several drones come "
+                "at once, some are lost; sysctl -w net.core.rmem_max=%d on the worker's host",
+                granted,
+                SOCKET_BUFFER_BYTES,
+                SOCKET_BUFFER_BYTES,
+            )
 
     def start(self, on_message: OnMessage) -> None:
         """Receive; hellos are answered from ``announce`` on."""
@@ -251,24 +267,24 @@ class UdpTransport:
                     _log.info("the key of %s changed: its session ends", session.drone)
                     self._sessions.end(session)
 
-    def _on_batch(self, data: memoryview, segment: int, address: Address, now_ns: int) -> None:
+    def _on_batch(self, data: memoryview, segment: int, way: Way, now_ns: int) -> None:
         """Datagrams of one sender that came at once."""
         if data and data[0] == _UP:
-            self._on_sealed(data, segment, address, now_ns)
+            self._on_sealed(data, segment, way, now_ns)
             return
         for start in range(0, len(data), segment):
             try:
-                self._on_handshake(data[start : start + segment], address, now_ns)
+                self._on_handshake(data[start : start + segment], way, now_ns)
             except TunnelError as error:
                 self._counters.count(error.reason)
 
-    def _on_sealed(self, data: memoryview, segment: int, address: Address, now_ns: int) -> None:
+    def _on_sealed(self, data: memoryview, segment: int, way: Way, now_ns: int) -> None:
         number = int.from_bytes(data[1:9], "little")
         session = self._sessions.get(number)
         if session is None:
             self._counters.count(Refusal.UNKNOWN_SESSION)
             if min(segment, len(data)) > RESET_BYTES and self._resets.take(now_ns):
-                self._answer(pack_reset(number), address)
+                self._answer(pack_reset(number), way)
             return
         quota = session.quota
         if quota.datagrams.is_empty(now_ns):
@@ -284,7 +300,7 @@ class UdpTransport:
             spent_ns = time.thread_time_ns() - began_ns
             quota.datagrams.spend(max(authentic, spent_ns // DATAGRAM_NS))
         if channel.newest_number > newest:
-            session.address = address
+            session.way = way
             self._sessions.heard(session)
         self._hand_over(session, messages, now_ns)
         channel.settle(now_ns)
@@ -307,7 +323,7 @@ class UdpTransport:
             session.goodbye_ns = now_ns
             session.channel.goodbye()
 
-    def _on_handshake(self, datagram: memoryview, address: Address, now_ns: int) -> None:
+    def _on_handshake(self, datagram: memoryview, way: Way, now_ns: int) -> None:
         """Answer an INIT or a HELLO.
 
         Raises:
@@ -318,13 +334,13 @@ class UdpTransport:
             raise TunnelError(Refusal.UNWANTED, f"a {kind.name}")
         if not self._announced:
             raise TunnelError(Refusal.NOT_ANNOUNCED, "before announce, or after withdraw")
-        place = repr(address[:2]).encode()
+        place = repr(way.peer[:2]).encode()
         if kind is Type.INIT:
             nonce = parse_init(datagram)
             if not self._inits.take(now_ns):
                 raise TunnelError(Refusal.HANDSHAKE_RATE, "too many INITs")
             cookie = make_cookie(self._secret, place, nonce, now_ns)
-            self._answer(pack_cookie(nonce, cookie), address)
+            self._answer(pack_cookie(nonce, cookie), way)
             return
         hello = parse_hello(datagram)
         check_cookie(self._secret, place, hello, now_ns)
@@ -335,7 +351,7 @@ class UdpTransport:
             self._check_nobody(hello)
             raise TunnelError(Refusal.UNKNOWN_DRONE, hello.drone)
         check_hello(hello, key)
-        self._answer(self._welcome(hello, key, address, now_ns), address)
+        self._answer(self._welcome(hello, key, way, now_ns), way)
 
     def _check_nobody(self, hello: Hello) -> None:
         try:
@@ -343,7 +359,7 @@ class UdpTransport:
         except TunnelError:
             return
 
-    def _welcome(self, hello: Hello, key: bytes, address: Address, now_ns: int) -> bytes:
+    def _welcome(self, hello: Hello, key: bytes, way: Way, now_ns: int) -> bytes:
         """The answer to a HELLO that is authentic: the same to the same HELLO."""
         known, session = self._sessions.of_hello(hello.packet)
         if session is not None:
@@ -358,22 +374,22 @@ class UdpTransport:
             hello, key, self._worker, number, cipher, X25519PrivateKey.generate()
         )
         quota = self._sessions.quota(hello.drone, now_ns)
-        made = WorkerSession(hello.drone, key, address, welcome, quota, now_ns)
+        made = WorkerSession(hello.drone, key, way, welcome, quota, now_ns)
 
         def transmit(datagrams: Sequence[bytes]) -> int:
-            return self._transmit(datagrams, made.address)
+            return self._transmit(datagrams, made.way)
 
         made.channel = Channel(keys, Side.WORKER, transmit, self._counters, now_ns)
         self._sessions.add(made, hello.packet)
         return welcome
 
-    def _answer(self, datagram: bytes, address: Address) -> None:
-        if not self._transmit([datagram], address):
+    def _answer(self, datagram: bytes, way: Way) -> None:
+        if not self._transmit([datagram], way):
             self._counters.count(Refusal.NOT_SENT)
 
-    def _transmit(self, datagrams: Sequence[bytes], address: Address) -> int:
+    def _transmit(self, datagrams: Sequence[bytes], way: Way) -> int:
         assert self._socket is not None
         try:
-            return self._socket.send(datagrams, address)
+            return self._socket.send(datagrams, way)
         except OSError:
             return 0  # no way there now, or closed: as good as lost on the way

@@ -215,8 +215,11 @@ class ZenohTransport:
             t2_ns = time.monotonic_ns()
             on_message = self._on_message
             drone = drone_of_key(str(sample.key_expr))
-            if on_message is None or not _is_name(drone):
-                return  # nobody of that name can be answered
+            if on_message is None:
+                return
+            if not _is_name(drone):
+                on_message(None, b"", t2_ns)  # nobody could be answered: it is not even looked at
+                return
             data: bytes | memoryview = sample.payload.to_bytes()
             if len(data) > max_bytes:
                 # Cut, so that it is looked at no further; the envelope tells, and it is counted

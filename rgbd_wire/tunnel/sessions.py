@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from rgbd_wire.tunnel.bucket import Bucket
 from rgbd_wire.tunnel.channel import Channel
+from rgbd_wire.tunnel.datagrams import Way
 from rgbd_wire.tunnel.handshake import COOKIE_AGE_NS
 
 MAX_SESSIONS = 256
@@ -25,9 +25,10 @@ MESSAGES_HZ, MESSAGES_BURST = 150.0, 60
 class DroneQuota:
     """What one drone may have handled, over all of its sessions."""
 
-    def __init__(self, now_ns: int) -> None:
+    def __init__(self, now_ns: int, messages_hz: float = MESSAGES_HZ) -> None:
+        burst = round(MESSAGES_BURST * messages_hz / MESSAGES_HZ)
         self.datagrams = Bucket(DATAGRAMS_HZ, DATAGRAMS_BURST, now_ns)
-        self.messages = Bucket(MESSAGES_HZ, MESSAGES_BURST, now_ns)
+        self.messages = Bucket(messages_hz, burst, now_ns)
 
 
 @dataclass(eq=False, slots=True)
@@ -37,8 +38,8 @@ class WorkerSession:
     drone: str
     key: bytes = field(repr=False)
     """The drone's key when it was made."""
-    address: Any
-    """Where its newest authentic datagram came from."""
+    way: Way
+    """Of its newest authentic datagram: answers take it back."""
     welcome: bytes = field(repr=False)
     """The answer to its HELLO, given again when that is repeated."""
     quota: DroneQuota
@@ -54,10 +55,12 @@ class Sessions:
 
     Args:
         max_sessions: of all drones together.
+        messages_hz: of one drone; those of 0.4 s may come at once.
     """
 
-    def __init__(self, max_sessions: int = MAX_SESSIONS) -> None:
+    def __init__(self, max_sessions: int = MAX_SESSIONS, messages_hz: float = MESSAGES_HZ) -> None:
         self._max = max_sessions
+        self._messages_hz = messages_hz
         self._by_id: dict[int, WorkerSession] = {}
         self._current: dict[str, WorkerSession] = {}
         self._quotas: dict[str, DroneQuota] = {}
@@ -85,7 +88,7 @@ class Sessions:
 
     def quota(self, drone: str, now_ns: int) -> DroneQuota:
         """What a drone has left; forgotten with its last session."""
-        return self._quotas.setdefault(drone, DroneQuota(now_ns))
+        return self._quotas.setdefault(drone, DroneQuota(now_ns, self._messages_hz))
 
     def of_hello(self, hello: bytes) -> tuple[bool, WorkerSession | None]:
         """Whether a HELLO was answered before, and its session unless that has ended."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import stat
 import subprocess
 import sys
@@ -11,8 +12,21 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from deploy.certificates import CertificatesError, Order, load_authority, make
+from deploy.certificates import (
+    CertificatesError,
+    Order,
+    load_authority,
+    make,
+    next_steps,
+    remove,
+    withheld,
+)
+from drone_client.settings import load_settings as load_drone_settings
+from edge_service.settings import load_settings as load_edge_settings
+from rgbd_wire.hosts import resolve
 from rgbd_wire.tls_files import tls_files
+from rgbd_wire.tunnel.endpoint import parse_endpoint
+from rgbd_wire.tunnel.keys import load_keys
 from tests.certificates import make_ends
 from tests.deploy.manifests import ROOT
 
@@ -103,6 +117,119 @@ def test_a_drone_that_comes_later_is_known_to_all_and_nothing_else_changes(tmp_p
     keys = (folder / "worker-a" / "tunnel.keys").read_text()
     assert [line.split()[0] for line in keys.splitlines()] == ["drone-1", "drone-2", "drone-3"]
     assert tls_files(folder / "drone-3").common_name == "drone-3"
+
+
+def names_in(folder, worker="worker-a"):
+    """Drones that a worker's file lets in."""
+    return list(load_keys(folder / worker / "tunnel.keys"))
+
+
+def without(folder, drone, worker="worker-a"):
+    """Take a drone's line out of a worker's file by hand, as one does in a hurry."""
+    path = folder / worker / "tunnel.keys"
+    kept = [line for line in path.read_text().splitlines(True) if not line.startswith(drone)]
+    path.write_text("".join(kept))
+
+
+def test_a_line_that_was_taken_out_never_comes_back_by_itself(tmp_path):
+    """Not with a new drone, not with a new worker, and not in the command that is printed."""
+    folder = make_ends(tmp_path / "ends")
+    without(folder, "drone-1")
+    assert withheld(folder) == {"drone-1": folder / "worker-a" / "tunnel.keys"}
+    added = run(
+        *(str(folder), "--drones", "drone-3", "--workers", "worker-b", "--tunnel-keys"),
+    )
+    assert added.returncode == 0, added.stderr
+    assert names_in(folder) == names_in(folder, "worker-b") == ["drone-2", "drone-3"]
+    assert "EDGE_ZENOH_DRONES=drone-2,drone-3 " in added.stdout
+    assert added.stderr.startswith("warning: drone-1 has a key and no line in ")
+    make(order(folder, with_tunnel_keys=True, workers=(), overwrite=True), datetime.now(UTC))
+    assert set(names_in(folder)) == {"drone-1", "drone-2", "drone-3"}  # asked for, with a new key
+    assert withheld(folder) == {}
+
+
+def test_what_else_stands_in_a_workers_file_stays(tmp_path):
+    """Comments, and the lines of drones whose folders are elsewhere."""
+    folder = make_ends(tmp_path / "ends")
+    path = folder / "worker-a" / "tunnel.keys"
+    path.write_text(f"# the yard's\nguest {bytes(range(32)).hex()}\n{path.read_text()}")
+    before = path.read_text()
+    make(order(folder, drones=("drone-3",), workers=(), with_tunnel_keys=True), datetime.now(UTC))
+    assert path.read_text() == before + (folder / "drone-3" / "tunnel.key").read_text()
+
+
+def test_a_lost_drone_is_removed_for_good(tmp_path):
+    """Its folder and its lines; the rest stays as it is, and the words say what is still open."""
+    folder = make_ends(tmp_path / "ends", workers=("worker-a", "worker-b"))
+    kept = {p: data for p, data in files(folder).items() if "drone-1" not in p.parts}
+    end = certificate(folder, "drone-1").not_valid_after_utc
+    done = run(str(folder), "--remove", "drone-1")
+    assert (done.returncode, done.stderr) == (0, "")
+    for words in (
+        str(folder / "worker-a" / "tunnel.keys"),
+        str(folder / "worker-b" / "tunnel.keys"),
+        f"the certificate of drone-1 is valid until {end:%Y-%m-%d %H:%M} UTC",
+        "\nEDGE_ZENOH_DRONES=drone-2\n",
+    ):
+        assert words in done.stdout
+    left = files(folder)
+    assert left.keys() == kept.keys()
+    changed = {p for p in kept if left[p] != kept[p]}
+    assert changed == {folder / w / "tunnel.keys" for w in ("worker-a", "worker-b")}
+    assert {stat.S_IMODE(p.stat().st_mode) for p in changed} == {0o600}
+    make(order(folder, drones=("drone-3",), workers=(), with_tunnel_keys=True), datetime.now(UTC))
+    assert names_in(folder) == names_in(folder, "worker-b") == ["drone-2", "drone-3"]
+
+
+@pytest.mark.parametrize("name", ["drone-9", "worker-a", "authority", "../ends/drone-1", "guest"])
+def test_nothing_but_a_drone_is_removed(tmp_path, name):
+    """The line names those that there are; with one that is none, nothing happens to the others."""
+    folder = make_ends(tmp_path / "ends")
+    with (folder / "worker-a" / "tunnel.keys").open("a") as keys:
+        keys.write(f"authority {bytes(range(32)).hex()}\nworker-a {bytes(range(1, 33)).hex()}\n")
+    before = files(folder)
+    with pytest.raises(CertificatesError, match=r"is no drone in .*there are: drone-1, drone-2$"):
+        remove(folder, ("drone-1", name), datetime.now(UTC))
+    assert files(folder) == before
+
+
+def test_what_is_left_of_a_drone_can_be_removed(tmp_path):
+    """A line without a folder, or a folder without a line."""
+    folder = make_ends(tmp_path / "ends")
+    without(folder, "drone-1")
+    for path in (folder / "drone-2").iterdir():
+        path.unlink()
+    (folder / "drone-2").rmdir()
+    assert set(remove(folder, ("drone-1", "drone-2"), datetime.now(UTC))) == {"drone-1"}
+    assert names_in(folder) == []
+    assert {p.name for p in folder.iterdir()} == {"authority", "worker-a"}
+    done = run(str(folder), "--remove", "x", "--drones", "y")
+    assert done.returncode == 1
+    assert done.stderr == "error: --remove makes nothing: run it again for the others\n"
+
+
+@pytest.mark.parametrize("host", ["edge.example", "192.0.2.7", "2001:db8::1", "[2001:db8::1]"])
+def test_the_printed_commands_are_words_that_both_programs_take(tmp_path, monkeypatch, host):
+    """Also with a space in the folder, and with IPv6, whose brackets a shell has a use for."""
+    folder = tmp_path / "my certificates (new)"
+    what = order(folder, hosts=(host,), with_tunnel_keys=True)
+    make(what, datetime.now(UTC))
+    words = shlex.split(next_steps(what).replace("\\\n", ""), comments=True)
+    given = dict(word.split("=", 1) for word in words if word[0].isupper() and "=" in word)
+    over = [word.partition("=")[2] for word in words if word.startswith("DRONE_CONNECT=")]
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    worker = load_edge_settings(zenoh_listen=words[words.index("--listen") + 1])
+    assert worker.zenoh_tls == folder / "worker-a"
+    assert worker.tunnel_keys == folder / "worker-a" / "tunnel.keys"
+    drone = load_drone_settings()
+    assert (drone.tls, drone.key_file) == (folder / "drone-1", folder / "drone-1" / "tunnel.key")
+    bare = host.strip("[]")
+    assert [endpoint.partition("/")[0] for endpoint in over] == ["tls", "udp"]
+    assert {parse_endpoint(f"udp/{e.partition('/')[2]}")[0] for e in over} == {bare}
+    heard, _ = parse_endpoint(f"udp/{worker.udp_listen}")
+    assert resolve(heard, 0)[0][0].name == ("AF_INET6" if ":" in bare else "AF_INET")
+    assert all(heard in endpoint for endpoint in worker.listen_endpoints)
 
 
 def test_nothing_is_overwritten_unless_asked(tmp_path):

@@ -14,6 +14,7 @@ from typing import Any
 from drone_client.link.udp import UdpLink
 from drone_client.link.udp_endpoint import Endpoint, Line
 from edge_service.transport.udp import UdpTransport
+from rgbd_wire.tunnel.datagrams import Way
 from rgbd_wire.tunnel.partials import MAX_OPEN_BYTES, MAX_PARTIALS
 from rgbd_wire.tunnel.pump import Pump
 from rgbd_wire.tunnel.seal import Sealer
@@ -67,8 +68,8 @@ class Wire:
     def receive(self) -> tuple[memoryview, int, Any] | None:
         return self.inbox.popleft() if self.inbox else None
 
-    def send(self, datagrams: Sequence[bytes], address: Any = None) -> int:
-        self.sent.extend((datagram, address) for datagram in datagrams)
+    def send(self, datagrams: Sequence[bytes], way: Way | None = None) -> int:
+        self.sent.extend((datagram, way) for datagram in datagrams)
         return len(datagrams)
 
     def close(self) -> None:
@@ -163,9 +164,9 @@ class Ends:
                 self.to_worker([datagram], len(datagram), sock.place)
         answers = list(self.wire.sent)
         self.wire.sent.clear()
-        for datagram, address in answers:
+        for datagram, way in answers:
             for sock in self.endpoint.sockets():
-                if sock.place == address:  # type: ignore[attr-defined]
+                if sock.place == way.peer:  # type: ignore[attr-defined]
                     self.recorded.append(datagram)
                     self.to_drone([datagram], len(datagram), sock)
 
@@ -178,7 +179,7 @@ class Ends:
     def to_worker(self, datagrams: Sequence[bytes], segment: int, address: Any) -> None:
         """Datagrams that came at once at the worker's socket."""
         data = memoryview(b"".join(datagrams))
-        self.worker._on_batch(data, segment, address, self.clock.ns)
+        self.worker._on_batch(data, segment, Way(address), self.clock.ns)
 
     def to_drone(self, datagrams: Sequence[bytes], segment: int, sock: Any = None) -> None:
         """Datagrams that came at once at one of the drone's sockets, or at its first one."""

@@ -124,6 +124,14 @@ def message(drone="d1", sequence=0, boot_id=7, t1_ns=11, budget_ns=SECOND_NS, ba
     return pack(_COLOR_ONLY if bare else _COMPRESSED, stamp)
 
 
+def tiny_frame(side_px):
+    """A frame without depth, of another size than the scene's."""
+    half = side_px / 2
+    intrinsics = CameraIntrinsics(side_px, side_px, float(side_px), float(side_px), half, half)
+    camera = replace(CAMERA, color=intrinsics)
+    return RgbdFrame(np.zeros((side_px, side_px, 3), np.uint8), None, camera, 5, None)
+
+
 def named_drone(data):
     """The drone that a frame names; d1 for anything else."""
     try:

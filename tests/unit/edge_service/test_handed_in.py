@@ -53,6 +53,13 @@ def test_a_jpeg_alone_will_do(depth):
     assert frame.depth_units is None
 
 
+@pytest.mark.parametrize("padding", [b"\0", b"\xff", bytes(1024), b"\xff" * 1024])
+def test_what_is_written_behind_a_jpeg_is_cut_off(padding):
+    """Cameras and phones pad their files; the picture is whole all the same."""
+    frame = frame_of_files(JPEG + padding, None, CAMERA_JSON)
+    np.testing.assert_array_equal(frame.color_rgb, imagecodecs.jpeg8_decode(JPEG))
+
+
 PALETTE = PNG[:24] + b"\x08\x03" + PNG[26:]
 DAMAGED = PNG[:60] + bytes([PNG[60] ^ 255]) + PNG[61:]
 
@@ -71,6 +78,7 @@ DAMAGED = PNG[:60] + bytes([PNG[60] ^ 255]) + PNG[61:]
         (DAMAGED, None, "color: the PNG cannot be decoded"),
         (PNG[: len(PNG) // 2], None, "color: the PNG cannot be decoded"),
         (JPEG[: len(JPEG) // 2], None, "color: the JPEG is cut off"),
+        (JPEG + bytes(1025), None, "color: the JPEG is cut off"),
         (bytes(imagecodecs.jpeg8_encode(GREY)), None, "color: the JPEG has 1 channels"),
         (PNG, JPEG, "depth: the JPEG is 8-bit RGB and must be a 16-bit grey PNG"),
         (PNG, PNG, "depth: the PNG is 8-bit RGB and must be a 16-bit grey PNG"),

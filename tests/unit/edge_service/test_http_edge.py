@@ -208,6 +208,46 @@ def test_a_body_that_is_no_form_is_said_so(client, content, kind, words):
     assert words in response.json()["detail"]
 
 
+@pytest.mark.parametrize(
+    ("charset", "name", "text"),
+    [
+        ("unicode_escape", b"camera", b"\\ud800"),  # a lone surrogate, which no bytes are made of
+        ("undefined", b"camera", b"{}"),
+        ("punycode", b"camera!", b"{}"),
+    ],
+)
+def test_a_charset_that_makes_no_text_is_said_so(charset, name, text):
+    """Python knows codecs that fail in ways of their own: a 422 like any other, and counted."""
+    bench = Bench()
+    part = b'--x\r\nContent-Disposition: form-data; name="%b"\r\n\r\n%b\r\n--x--\r\n'
+    kind = f"multipart/form-data; charset={charset}; boundary=x"
+    with serving(bench) as client:
+        response = client.post(
+            "/v1/localize", content=part % (name, text), headers={"Content-Type": kind}
+        )
+    assert response.status_code == 422
+    assert response.json()["field"] == "form"
+    assert "charset" in response.json()["detail"]
+    assert bench.count("edge_http_localize_total", status="422") == 1
+
+
+@pytest.mark.parametrize("query", ["", "?draw=1"])
+def test_a_fault_of_its_own_is_counted_and_tells_nothing(caplog, query):
+    """A 500 with the usual body; what happened is for the log, with its traceback."""
+    bench = Bench(KnownDetector(error=RuntimeError("secret of the house")))
+    with serving(bench) as client:
+        response = client.post(f"/v1/localize{query}", files=FILES)
+    assert response.status_code == 500
+    assert response.json() == {
+        "field": None,
+        "detail": "a fault of the service's own; its log says more",
+    }
+    assert bench.count("edge_http_localize_total", status="500") == 1
+    (record,) = caplog.records
+    assert record.name == "edge_service.http.localize"
+    assert record.exc_info[1].args == ("secret of the house",)
+
+
 def test_one_field_twice_is_refused(client):
     """Which of two pictures was meant cannot be known."""
     files = [("color", FILES["color"]), ("color", FILES["color"]), ("camera", FILES["camera"])]
@@ -386,7 +426,7 @@ def test_the_examples_are_true(client):
     description = client.get("/openapi.json").json()
     camera_from_json(CAMERA)
     operation = description["paths"]["/v1/localize"]["post"]
-    assert set(operation["responses"]) == {"200", "408", "413", "422", "503"}
+    assert set(operation["responses"]) == {"200", "408", "413", "422", "500", "503"}
     content = operation["responses"]["200"]["content"]["application/json"]
     assert content["schema"] == {"$ref": "#/components/schemas/LocalizeBody"}
     found, nothing = (e["value"] for e in content["examples"].values())

@@ -159,6 +159,18 @@ def test_a_drone_cannot_speak_for_another():
     assert [r.drone for r in bench.transport.results()] == ["d2"]
 
 
+def test_a_message_of_nobody_is_counted():
+    """What the network brings under no drone's name is refused like any other that fails."""
+    bench = Bench()
+    bench.service.start()
+    for _ in range(3):
+        bench.transport.deliver(None, b"", bench.clock.now_ns())
+    assert bench.count("edge_rejected_total", reason="no_drone") == 3
+    assert bench.transport.sent == []
+    assert bench.state.mailbox.drones == 0
+    bench.drain()
+
+
 def test_a_probe_comes_back_at_once_with_the_workers_stamps():
     """Its own three numbers, then t2, t3 and the boot id that acks and results carry as well."""
     bench = Bench()

@@ -49,6 +49,19 @@ def test_what_strangers_make_the_http_server_say_is_bounded(capsys):
     assert lines.count("ours") == 1000
 
 
+@pytest.mark.parametrize("name", ["worker", "pipeline", "http.localize"])
+def test_a_fault_that_lasts_is_not_a_traceback_for_every_frame(capsys, name):
+    """The first one is there; those of a minute are one line, whatever drone they are of."""
+    configure("WARNING")
+    for k in range(100):
+        try:
+            raise RuntimeError(k)
+        except RuntimeError:
+            logging.getLogger(f"edge_service.{name}").exception("failed", extra={"drone": k})
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "RuntimeError: 0" in json.loads(line)["exception"]
+
+
 def test_a_traceback_stays_on_its_line():
     """An exception is a field, and what JSON does not know is written as text."""
     try:

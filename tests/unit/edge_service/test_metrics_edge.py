@@ -14,6 +14,7 @@ def test_series_are_there_from_the_start():
         'edge_dropped_total{where="worker"} 0.0',
         'edge_rejected_total{reason="too_fast"} 0.0',
         'edge_rejected_total{reason="wrong_drone"} 0.0',
+        'edge_rejected_total{reason="no_drone"} 0.0',
         'edge_frames_total{outcome="dropped"} 0.0',
         'edge_batch_frames_bucket{le="1.0"} 0.0',
         "edge_expected_service_seconds 0.0",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from edge_service.parts import make_links
@@ -47,6 +49,34 @@ def test_the_tunnel_alone(keys):
     assert made.lines() == (f"udp    127.0.0.1:{made.tunnel.port}, keys in {keys}",)
     assert made.tunnel.port > 0
     made.transport.close()
+
+
+def crowd(sessions, drones):
+    """A session of each of so many drones, all in use; how many there was room for."""
+    for number in range(drones):
+        if not sessions.make_room(f"d{number}"):
+            return number
+        channel = SimpleNamespace(session=number, heard_ns=0)
+        used = SimpleNamespace(drone=f"d{number}", confirmed=True, channel=channel, made_ns=0)
+        sessions.add(used, b"hello %d" % number)
+    return drones
+
+
+@pytest.mark.parametrize(("max_drones", "room"), [(1, 256), (64, 256), (1024, 1500)])
+def test_the_tunnel_has_a_session_for_every_drone(keys, max_drones, room):
+    """Four for each that may be served, and not fewer than by default."""
+    fields = {"zenoh_listen": "", "udp_listen": "127.0.0.1:0", "tunnel_keys": keys}
+    made = links(**fields, max_drones=max_drones)
+    assert crowd(made.tunnel._sessions, 1500) == room
+
+
+@pytest.mark.parametrize(("max_rate_hz", "taken"), [(1, 210), (60, 210), (1000, 1000)])
+def test_the_tunnel_hands_over_what_a_drone_may_send(keys, max_rate_hz, taken):
+    """A thousand messages in a second, one a millisecond: as many as the rate that was set."""
+    fields = {"zenoh_listen": "", "udp_listen": "127.0.0.1:0", "tunnel_keys": keys}
+    made = links(**fields, max_rate_hz=max_rate_hz)
+    quota = made.tunnel._sessions.quota("d1", 0).messages
+    assert sum(quota.take(1_000_000 * ms) for ms in range(1000)) == pytest.approx(taken, abs=2)
 
 
 def test_a_file_without_keys_is_warned_of(tmp_path):

@@ -27,6 +27,7 @@ from tests.unit.edge_service.edge_fakes import (
     KnownDetector,
     message,
     pipeline,
+    tiny_frame,
     true_detections,
     with_broken_picture,
 )
@@ -113,6 +114,28 @@ def test_of_several_frames_each_has_its_own_end():
     outputs = [made.conclude(*each) for each in zip(frames, seen, stages, strict=True)]
     assert [o.outcome for o in outputs] == [Outcome.TARGET, Outcome.BAD_FRAME, Outcome.TARGET]
     assert list(outputs[0].stages_ns) == ["detect", "nest", "localise"]
+
+
+def test_a_picture_that_is_too_small_does_not_cost_the_others_their_batch():
+    """It is singled out, and the rest goes through the detector at once, in order."""
+    detector = KnownDetector()
+    frames = [frame(), tiny_frame(8), frame(depth=None), tiny_frame(15)]
+    made = pipeline(detector)
+    seen = made.detect(frames, [{} for _ in frames])
+    assert detector.batches == [2]
+    assert [d is detector.detections for d in seen] == [True, False, True, False]
+    for bad, size in ((1, "8x8"), (3, "15x15")):
+        output = made.conclude(frames[bad], seen[bad], {})
+        assert output.outcome is Outcome.BAD_FRAME
+        assert output.reason.endswith(size)
+
+
+def test_pictures_that_are_all_too_small_reach_no_detector():
+    """Nothing is left to look at."""
+    detector = KnownDetector()
+    seen = pipeline(detector).detect([tiny_frame(8), tiny_frame(8)], [{}, {}])
+    assert [type(what) for what in seen] == [ImageError, ImageError]
+    assert detector.batches == detector.seen == []
 
 
 def test_a_picture_that_the_detector_does_not_take_is_a_bad_frame():

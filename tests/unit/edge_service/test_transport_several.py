@@ -48,6 +48,17 @@ def test_who_was_never_heard_is_sent_to_on_all(both):
     assert not whole.send("d9", ACK)
 
 
+def test_a_message_of_nobody_is_passed_on():
+    """It is no drone's, so no network is remembered for it."""
+    part = MemoryTransport()
+    whole, heard = SeveralTransports([part]), []
+    whole.open()
+    whole.start(lambda *message: heard.append(message))
+    part.deliver(None, b"", 5)
+    assert heard == [(None, b"", 5)]
+    assert not whole._heard
+
+
 def test_an_answer_that_its_network_does_not_take_is_not_sent(both):
     """It is not sent elsewhere: the drone is not there."""
     whole, one, two = both

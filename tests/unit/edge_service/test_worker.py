@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rgbd_wire.clock import ManualClock
+from rgbd_wire.frame_codec import FrameStamp, compress, pack
 from rgbd_wire.messages import Outcome
 from tests.unit.edge_service.edge_fakes import (
     SECOND_NS,
@@ -10,6 +11,7 @@ from tests.unit.edge_service.edge_fakes import (
     HeldDetector,
     KnownDetector,
     message,
+    tiny_frame,
     with_broken_picture,
 )
 
@@ -173,6 +175,27 @@ def test_one_bad_frame_does_not_take_its_batch_down(caplog):
         "choke": Outcome.FAILED,
     }
     assert "batch failed" in caplog.text
+
+
+def test_a_tiny_picture_in_a_batch_leaves_a_batch_that_is_timed():
+    """The others go together, and what two of them took is known for the next ones."""
+    detector = HeldDetector()
+    bench = Bench(detector, batch_max=4)
+    bench.service.start()
+    waiting_for(bench, detector, 2)
+    tiny = compress(tiny_frame(8))
+    bench.deliver(pack(tiny, FrameStamp("tiny", 7, 0, 11, SECOND_NS)))
+    detector.go.release()
+    assert detector.entered.acquire(timeout=20)  # the first of the batch
+    bench.clock.advance(30 * MS)
+    detector.go.release(2)
+    bench.drain()
+    assert detector.batches == [2]
+    told = {r.drone: r.outcome for r in bench.transport.results()}
+    assert told["tiny"] is Outcome.BAD_FRAME
+    assert told["d0"] is told["d1"] is Outcome.TARGET
+    assert bench.count("edge_batch_frames_sum") == 3
+    assert bench.service._worker._times.expected_ns(bench.clock.now_ns(), 2) == 30 * MS
 
 
 def test_a_frame_without_time_for_a_batch_goes_alone():

@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 
 from rgbd_wire.tunnel.datagrams import (
     MAX_SEGMENTS,
+    SOCKET_BUFFER_BYTES,
     DatagramSocket,
+    Way,
     _groups,
     bind_datagrams,
     connect_datagrams,
@@ -58,12 +60,90 @@ def test_what_is_sent_arrives_in_order(segments: bool, host: str) -> None:
         client.segments = client.segments and segments
         assert client.send(datagrams) == len(datagrams)
         assert take(server, len(datagrams)) == datagrams
-        assert server.send(datagrams[-2:], (host, client.port)) == 2
+        assert server.send(datagrams[-2:], Way((host, client.port))) == 2
         assert take(client, 2) == datagrams[-2:]
         assert client.receive() is None
     finally:
         server.close()
         client.close()
+
+
+def way_of_next(sock: DatagramSocket) -> Way:
+    """Where the next datagram came from, and to."""
+    poller = select.poll()
+    poller.register(sock.fileno(), select.POLLIN)
+    assert poller.poll(5000)
+    got = sock.receive()
+    assert got is not None
+    return got[2]
+
+
+@pytest.mark.parametrize("segments", [True, False])
+@pytest.mark.parametrize(
+    ("anywhere", "host", "seen"),
+    [
+        ("0.0.0.0", "127.0.0.2", socket.inet_aton("127.0.0.2")),
+        ("::", "127.0.0.2", socket.inet_pton(socket.AF_INET6, "::ffff:127.0.0.2")),
+        ("::", "::1", socket.inet_pton(socket.AF_INET6, "::1")),
+    ],
+)
+def test_an_answer_leaves_from_the_address_that_was_asked(
+    anywhere: str, host: str, seen: bytes, segments: bool
+) -> None:
+    """Of a host's several addresses: a connected socket takes an answer from no other one."""
+    server = bind_datagrams(anywhere, 0)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    client = connect_datagrams(family, (host, server.port))
+    try:
+        server.segments = server.segments and segments
+        client.send([b"hello"])
+        way = way_of_next(server)
+        assert way.local == seen
+        answers = [bytes([i]) * 1200 for i in range(5)]
+        assert server.send(answers, way) == 5
+        assert take(client, 5) == answers
+    finally:
+        server.close()
+        client.close()
+
+
+def test_an_address_that_has_left_the_machine_costs_no_answer() -> None:
+    """The kernel chooses another one then; runs are tried on."""
+    server = bind_datagrams("0.0.0.0", 0)
+    client = connect_datagrams(socket.AF_INET, ("127.0.0.1", server.port))
+    try:
+        cuts = server.segments
+        client.send([b"hello"])
+        gone = way_of_next(server)._replace(local=socket.inet_aton("192.0.2.7"))
+        assert server.send([b"a" * 9, b"b" * 9], gone) == 2
+        assert take(client, 2) == [b"a" * 9, b"b" * 9]
+        assert server.segments == cuts
+    finally:
+        server.close()
+        client.close()
+
+
+def test_a_socket_of_one_address_asks_for_nothing_more() -> None:
+    """The kernel can answer from no other one."""
+    server = bind_datagrams("127.0.0.2", 0)
+    client = connect_datagrams(socket.AF_INET, ("127.0.0.2", server.port))
+    try:
+        client.send([b"hello"])
+        assert way_of_next(server) == Way(("127.0.0.1", client.port))
+    finally:
+        server.close()
+        client.close()
+
+
+def test_a_socket_says_how_large_its_buffer_became() -> None:
+    """What the kernel granted, and not what was asked for."""
+    server = bind_datagrams("127.0.0.1", 0)
+    try:
+        with open("/proc/sys/net/core/rmem_max", encoding="ascii") as file:
+            limit = int(file.read())
+        assert server.receive_buffer_bytes == min(limit, SOCKET_BUFFER_BYTES)
+    finally:
+        server.close()
 
 
 def test_a_device_that_cannot_cut_gets_single_datagrams(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,10 +154,10 @@ def test_a_device_that_cannot_cut_gets_single_datagrams(monkeypatch: pytest.Monk
         client.segments = True
         plain = client._send_group
 
-        def refuse(group: list[bytes], address: object) -> None:
+        def refuse(group: list[bytes], way: Way | None) -> None:
             if len(group) > 1:
                 raise OSError(errno.EIO, "no checksums on this device")
-            plain(group, address)
+            plain(group, way)
 
         monkeypatch.setattr(client, "_send_group", refuse)
         datagrams = [bytes([i]) * 100 for i in range(5)]

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rgbd_wire.tunnel.channel import Channel, Side
+from rgbd_wire.tunnel.datagrams import Way
 from rgbd_wire.tunnel.errors import Counters
 from rgbd_wire.tunnel.handshake import COOKIE_AGE_NS, SessionKeys
 from rgbd_wire.tunnel.seal import Cipher, DirectionKey
@@ -27,7 +28,7 @@ def make(sessions: Sessions, drone: str, number: int, now_ns: int = 0) -> Worker
     if not sessions.make_room(drone):
         return None
     quota = sessions.quota(drone, now_ns)
-    session = WorkerSession(drone, b"k", ("192.0.2.7", number), b"welcome", quota, now_ns)
+    session = WorkerSession(drone, b"k", Way(("192.0.2.7", number)), b"welcome", quota, now_ns)
     keys = SessionKeys(number, Cipher.AES_256_GCM, KEY, KEY)
     session.channel = Channel(keys, Side.WORKER, len, Counters(), now_ns)
     sessions.add(session, b"hello %d" % number)
