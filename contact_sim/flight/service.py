@@ -24,6 +24,7 @@ LOG_LINES: Final = 12
 
 _DIRECT: Final = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 """A proxy of the environment is no way to the loopback of this machine."""
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 class ServiceProcess:
@@ -53,8 +54,9 @@ class ServiceProcess:
             )
         tied = [sys.executable, "-m", "contact_sim.flight.tied", f"{END_S:g}"]
         command = [str(executable), "serve", "--listen", self.endpoint, "--http", self.http]
-        # One thread of torch: the drone and its world need the other cores
-        env = os.environ | {"EDGE_THREADS": "1"}
+        # One thread of torch, and of numpy: the drone and its world need the other cores, and a
+        # numeric library that waits for threads without a core takes thrice as long
+        env = ONE_THREAD | os.environ | {"EDGE_THREADS": "1"}
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with self.log.open("wb") as log:

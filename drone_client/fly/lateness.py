@@ -25,7 +25,12 @@ def too_slow(
     by_service = sum(f["service_ms"] > (f["network_delay_ms"] or 0.0) for f in old)
     if service_ms is None or not 2 * by_service > len(old):
         return None
-    why = "this machine is too slow for both, or busy" if shared else "it is too slow, or busy"
+    why = (
+        "this machine is too slow for both, or busy; with --age-max-ms 500 the drone flies by "
+        "older poses, and keeps more room"
+        if shared
+        else "it is too slow, or busy"
+    )
     return (
         f"{len(old)} of {len(judged)} results were too old: the service took {median(took):.0f} ms "
         f"for such a picture, where 95 % of all took at most {service_ms['p95']:.0f} ms; {why}"
