@@ -164,6 +164,9 @@ class ZenohLink:
         self._session.declare_subscriber(key, callback)
 
     def _put(self, stream: Stream, worker: str, message: bytes) -> None:
+        if self._is_closed:  # the session may take a moment longer
+            self.send_errors += 1
+            return
         try:
             publisher = self._publishers.get((stream, worker))
             if publisher is None:

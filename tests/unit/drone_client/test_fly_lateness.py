@@ -28,7 +28,11 @@ LATE_BY_NETWORK = [answered("too_old", 40.0, 260.0)] * 3
 @pytest.mark.parametrize(
     ("shared", "why"),
     [
-        (True, "this machine is too slow for both, or busy"),
+        (
+            True,
+            "this machine is too slow for both, or busy; with --age-max-ms 500 the drone flies by "
+            "older poses, and keeps more room",
+        ),
         (False, "it is too slow, or busy"),
     ],
 )

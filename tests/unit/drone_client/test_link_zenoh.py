@@ -51,6 +51,12 @@ def reversing(name: str = "w1") -> ZenohWorker:
     return ZenohWorker(name, answer=lambda worker, frame: (frame[::-1],))
 
 
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch):
+    """A machine that stands still for a second loses no link here; a process that ends, does."""
+    monkeypatch.setitem(link_zenoh._CONFIG, "transport/link/tx/lease", 60_000)
+
+
 @pytest.fixture(scope="module")
 def worker():
     """A worker that lives."""

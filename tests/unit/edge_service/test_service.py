@@ -12,6 +12,7 @@ from rgbd_wire.frame import RgbdFrame
 from rgbd_wire.frame_codec import FrameStamp, compress, pack
 from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import MAX_POSE_NUMBER, Outcome
+from tests.unit.drone_client.builders import eventually
 from tests.unit.edge_service.edge_fakes import (
     CAMERA,
     COLOR,
@@ -124,7 +125,8 @@ def test_metrics_show_the_state_as_it_is(name):
     bench.service.start()
     bench.deliver(message())
     bench.transport.wait_for_results(1)
-    assert name in bench.state.metrics_text().decode()
+    # The answer leaves before it is counted
+    assert eventually(lambda: name in bench.state.metrics_text().decode())
     bench.drain()
 
 
