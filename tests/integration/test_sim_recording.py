@@ -242,5 +242,7 @@ def test_a_client_that_is_killed_leaves_no_server(tmp_path: Path):
             socket.create_connection(("127.0.0.1", port), timeout=1).close()
         except ConnectionRefusedError:
             break
+        except (ConnectionResetError, TimeoutError):
+            pass  # it is just ending
         assert time.monotonic() < give_up
         time.sleep(0.05)
