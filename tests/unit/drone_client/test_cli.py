@@ -18,6 +18,7 @@ import pytest
 import typer
 
 from drone_client import cli
+from drone_client.link import zenoh as link_zenoh
 from drone_client.settings import ClientSettings, known_name
 from rgbd_wire.frame_codec import unpack
 from rgbd_wire.messages import pose_of
@@ -41,11 +42,15 @@ PATIENT = ("--tau-max-ms", "9000", "--age-max-ms", "9000")
 
 @pytest.fixture(autouse=True)
 def as_it_was(monkeypatch):
-    """No DRONE_ variables, narrow lines, and the process's signals and logs as before."""
+    """No DRONE_ variables but patience, narrow lines; signals and logs as before."""
     for name in list(os.environ):
         if name.startswith("DRONE_"):
             monkeypatch.delenv(name)
     monkeypatch.setenv("COLUMNS", "100")
+    # A machine that stands still for a while loses no link, and every answer is waited for
+    monkeypatch.setitem(link_zenoh._CONFIG, "transport/link/tx/lease", 60_000)
+    monkeypatch.setenv("DRONE_REPLY_TIMEOUT_MS", "60000")
+    monkeypatch.setenv("DRONE_ACK_TIMEOUT_MS", "10000")
     handlers = {sign: signal.getsignal(sign) for sign in (signal.SIGINT, signal.SIGTERM)}
     level = cv2.utils.logging.getLogLevel()
     yield

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import queue
 
 import pytest
@@ -26,12 +27,14 @@ from tests.unit.drone_client.zenoh_worker import ZenohWorker
 
 CLOCK = MonotonicClock()
 BUDGET_NS = 250_000_000
+NUMBERS = itertools.count(1)
 
 
 class Drone:
     """A started link and what came in over it."""
 
-    def __init__(self, *endpoints: str, name: str = "drone-1") -> None:
+    def __init__(self, *endpoints: str, name: str) -> None:
+        self.name = name
         self.link = ZenohLink(name, endpoints, CLOCK)
         self.got: queue.Queue[tuple[bytes, int]] = queue.Queue()
         self.seen: queue.Queue[tuple[str, ...]] = queue.Queue()
@@ -85,7 +88,8 @@ def start_drone():
     started: list[Drone] = []
 
     def start(*endpoints: str) -> Drone:
-        started.append(Drone(*endpoints))
+        # The link of the test before may still be closing: its name would answer for this one's
+        started.append(Drone(*endpoints, name=f"drone-{next(NUMBERS)}"))
         return started[-1]
 
     yield start
@@ -103,7 +107,7 @@ def drone(worker, start_drone):
 def reached(worker, drone):
     """The same drone, when a reply that follows no frame gets to it, too."""
     assert drone.sees("w1")
-    assert worker.reaches("drone-1")
+    assert worker.reaches(drone.name)
     return drone
 
 
@@ -186,8 +190,8 @@ def test_a_worker_that_is_down_does_not_keep_the_drone_from_the_others(
 
 def test_results_for_another_drone_do_not_come_in(worker, reached):
     """Keys are directed."""
-    worker.reply("drone-2", b"not for us")
-    worker.reply("drone-1", b"for us")
+    worker.reply("another", b"not for us")
+    worker.reply(reached.name, b"for us")
     assert reached.got.get(timeout=10)[0] == b"for us"
 
 
@@ -195,7 +199,7 @@ def test_a_message_that_is_too_long_is_cut_and_counted(worker, reached):
     """Fifty kilobytes where sixteen may be: one reject, no exception, and life goes on."""
     receiver = Receiver("d", 1, GateSettings(1, 1), Airframe(), lambda *_: None, lambda _: None)
     for message in (bytes(50_000), b"AERC\x01\x02\0\0" + bytes(50_000), b"short"):
-        worker.reply("drone-1", message)
+        worker.reply(reached.name, message)
         received, t4_ns = reached.got.get(timeout=10)
         assert len(received) == min(len(message), MAX_MESSAGE_BYTES + 1)
         receiver.on_message(received, t4_ns)
@@ -204,8 +208,8 @@ def test_a_message_that_is_too_long_is_cut_and_counted(worker, reached):
 
 def test_a_message_of_megabytes_is_dropped_on_the_link(worker, reached):
     """It is never put together, and what comes after it comes."""
-    worker.reply("drone-1", bytes(5_000_000))
-    worker.reply("drone-1", b"after it")
+    worker.reply(reached.name, bytes(5_000_000))
+    worker.reply(reached.name, b"after it")
     assert reached.got.get(timeout=10)[0] == b"after it"
 
 
@@ -223,7 +227,7 @@ def test_a_probe_goes_before_all_frames_and_is_dropped_rather_than_waited_for(wo
     drone.link.send_urgent("w1", b"probe")
     sample = worker.probes.get(timeout=10)
     assert sample.payload.to_bytes() == b"probe"
-    assert str(sample.key_expr) == "aerial/v1/drone-1/probe/w1"
+    assert str(sample.key_expr) == f"aerial/v1/{drone.name}/probe/w1"
     assert (sample.priority, sample.express) == (zenoh.Priority.REAL_TIME, True)
     assert sample.congestion_control == zenoh.CongestionControl.DROP
     drone.link.unheard("w1")  # there is no other way to try
@@ -281,7 +285,7 @@ def test_a_rogue_that_announces_thousands_of_workers_fills_no_memory(worker, rea
     tokens = [worker.announce(f"rogue-{i}") for i in range(MAX_WORKERS + 20)]
     assert eventually(lambda: len(reached.link.workers()) == MAX_WORKERS)
     marker = worker.announce("w1")  # what comes after them all has been looked at
-    worker.reply("drone-1", b"end")
+    worker.reply(reached.name, b"end")
     assert reached.got.get(timeout=10)[0] == b"end"
     assert len(reached.link.workers()) == MAX_WORKERS
     for token in (*tokens, marker):

@@ -239,7 +239,7 @@ def test_closing_while_nobody_is_there_takes_no_second_try(endpoint):
     """The thread that opens the session ends with it."""
     poses = poses_to(endpoint)
     poses.close()
-    assert not poses._opener.is_alive()
+    assert eventually(lambda: not poses._opener.is_alive(), timeout_s=20)
     poses.publish(POSE, COVARIANCE, T_CAPTURE_NS)
     assert poses.not_connected == 1
 

@@ -36,6 +36,8 @@ class ZenohWorker:
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
             "transport/shared_memory/enabled": False,
+            # A machine that stands still for a while loses no link
+            "transport/link/tx/lease": 60_000,
         }.items():
             config.insert_json5(key, json.dumps(value))
         self.session = zenoh.open(config)

@@ -12,6 +12,12 @@ import pytest
 from contact_sim.flight.service import answers_ready, free_port
 
 
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine takes its time to answer."""
+    monkeypatch.setattr("contact_sim.flight.service.READY_ANSWER_S", 20.0)
+
+
 class Ready(BaseHTTPRequestHandler):
     """Ready, and that is all."""
 

@@ -12,19 +12,19 @@ from pathlib import Path
 import pytest
 
 PATIENCE_S = 60.0
-SLEEPS = "import time; time.sleep(600)"
+TELLS = "import os; print(os.getpid(), flush=True)"
+SLEEPS = f"{TELLS}; import time; time.sleep(600)"
 DEAF = f"import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); {SLEEPS}"
 WITH_A_CHILD = (
-    f"import subprocess, sys; c = subprocess.Popen([sys.executable, '-c', {DEAF!r}]); "
-    "print(c.pid, flush=True); c.wait()"
+    f"{TELLS}; import subprocess, sys; "
+    f"c = subprocess.Popen([sys.executable, '-c', {DEAF!r}]); c.wait()"
 )
 
 
 def tied(script: str, *, end_s: float = 30.0) -> subprocess.Popen[str]:
-    """It prints its process first."""
-    told = f"import os; print(os.getpid(), flush=True); {script}"
+    """The script prints its process as soon as it is what it is meant to be."""
     return subprocess.Popen(
-        [sys.executable, "-m", "contact_sim.flight.tied", str(end_s), sys.executable, "-c", told],
+        [sys.executable, "-m", "contact_sim.flight.tied", str(end_s), sys.executable, "-c", script],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -63,7 +63,6 @@ def test_it_ends_when_its_starter_lets_go(script: str, end_s: float, code: int):
     with tied(script, end_s=end_s) as process:
         number = first_number(process)
         assert process.stdin is not None
-        time.sleep(0.3)  # a signal handler of its own is set by then, or it ends the gentler way
         process.stdin.close()
         assert process.wait(PATIENCE_S) == code
         assert gone(number)
@@ -74,7 +73,7 @@ def test_it_ends_when_its_starter_is_killed():
     starter = (
         "import subprocess, sys, time\n"
         "p = subprocess.Popen([sys.executable, '-m', 'contact_sim.flight.tied', '30', "
-        f"sys.executable, '-c', 'import os; print(os.getpid(), flush=True); {SLEEPS}'], "
+        f"sys.executable, '-c', '{SLEEPS}'], "
         "stdin=subprocess.PIPE, start_new_session=True)\n"
         "time.sleep(600)\n"
     )
@@ -100,7 +99,7 @@ def test_what_it_has_started_ends_with_it():
 
 def test_its_own_end_is_told():
     """With its exit status, and at once; a signal is passed on."""
-    with tied("raise SystemExit(7)") as process:
+    with tied(f"{TELLS}; raise SystemExit(7)") as process:
         first_number(process)
         assert process.wait(PATIENCE_S) == 7
     with tied(SLEEPS) as process:
