@@ -124,7 +124,7 @@ def load_airframe(path: Path) -> Airframe:
             _pose(raw, "body_from_camera", defaults.body_from_camera),
             _pose(raw, "body_from_tip", defaults.body_from_tip),
             _keep_outs(raw),
-            tuple(name for name in known[:3] if name not in raw),
+            tuple(name for name in known if name not in raw and name != "keep_out"),
         )
     except OSError as error:
         raise AirframeError(f"airframe file {path}: {error.strerror}") from None

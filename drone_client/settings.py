@@ -12,7 +12,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drone_client.errors import ClientError
 from drone_client.gate import GateSettings
-from drone_client.ros.names import Flavour
+from drone_client.ros.names import MAX_DOMAIN, Flavour
 from rgbd_wire.color import DEFAULT_JPEG_QUALITY
 from rgbd_wire.streams import FRAME, RESULT
 from target_pose.target import DEFAULT_TARGET
@@ -89,7 +89,7 @@ class ClientSettings(BaseSettings):
         Flavour.BRIDGE, description="bridge: zenoh-bridge-ros2dds; rmw_zenoh: nodes that speak it"
     )
     ros_domain: int = Field(
-        0, ge=0, le=232, description="ROS_DOMAIN_ID of those nodes; a bridge has its own"
+        0, ge=0, le=MAX_DOMAIN, description="ROS_DOMAIN_ID of those nodes; a bridge has its own"
     )
     onboard_fallback: bool = Field(
         False,

@@ -287,10 +287,8 @@ def _away(state: MissionState, obs: Observation, blind: bool, settings: MissionS
     if state.hands_off or state.given_back or clock_stands(state):
         return Intent(blind=blind, give_back=True)
     # One tick without knowledge gives nothing back, for that is never taken again
-    lost_ns = state.unknown_since_ns
-    lost = lost_ns is not None and lasts(
-        max(lost_ns, state.since_ns), state.now_ns, settings.brake_s
-    )
+    unknown = lasts(state.unknown_since_ns, state.now_ns, settings.brake_s)
+    lost = unknown and phase_lasts(state, settings.brake_s)
     over = lost or phase_lasts(state, settings.retreat_max_s)
     x_m = math.nan if state.tip_target is None else state.tip_target[0]
     if over or x_m >= settings.standoff_m - settings.standoff_tolerance_m:

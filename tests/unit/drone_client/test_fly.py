@@ -23,6 +23,7 @@ from drone_client.fly.cockpit import View
 from drone_client.fly.run import FlyOptions, fly
 from drone_client.link.memory import MemoryLink
 from drone_client.mission import Phase
+from drone_client.odometry.source import OdometrySource
 from drone_client.run_files import EVENTS_NAME, TICKS_NAME
 from drone_client.settings import ClientSettings
 from drone_client.source import Capture
@@ -150,7 +151,8 @@ class Scene:
         seen = pose_of(header.world_from_camera).inverse() @ WORLD_FROM_TARGET
         return target_of(seen, np.diag([1e-7] * 6))
 
-    def fly(self, **options: Any) -> dict[str, Any]:
+    def fly(self, odometry: OdometrySource | None = None, **options: Any) -> dict[str, Any]:
+        """The summary; ``odometry``: of a robot that it flies beside."""
         try:
             return fly(
                 self.camera,
@@ -162,6 +164,7 @@ class Scene:
                 self.link,
                 CLOCK,
                 self.person,
+                odometry=odometry,
             )
         finally:
             names = {t.name for t in threading.enumerate()}

@@ -15,13 +15,12 @@ import pytest
 
 from drone_client.errors import AutopilotError
 from drone_client.fly.cockpit import View
-from drone_client.fly.run import FlyOptions, fly
 from drone_client.mission import Phase
 from drone_client.odometry import OdometrySample
 from drone_client.odometry.source import MemoryOdometry
 from drone_client.run_files import SUMMARY_NAME
 from tests.unit.drone_client.builders import pose
-from tests.unit.drone_client.test_fly import AIRFRAME, CLOCK, AtTheWall, Scene
+from tests.unit.drone_client.test_fly import CLOCK, AtTheWall, Scene
 
 WAITS = "fly it down by hand"
 
@@ -75,18 +74,7 @@ class Pilot:
 
 def flown(scene: Scene, robot: MemoryOdometry, **options: Any) -> dict[str, Any]:
     """The summary of a flight beside a robot."""
-    return fly(
-        scene.camera,
-        scene.vehicle,
-        AIRFRAME,
-        scene.settings,
-        scene.parts,
-        FlyOptions(scene.folder, plot=False, **({"feeds_on": True} | options)),
-        scene.link,
-        CLOCK,
-        scene.person,
-        odometry=robot,
-    )
+    return scene.fly(robot, **({"feeds_on": True} | options))
 
 
 def no_thread_is_left() -> bool:

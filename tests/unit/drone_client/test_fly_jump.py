@@ -13,7 +13,6 @@ import pytest
 
 from drone_client.flight_settings import OdometrySettings
 from drone_client.fly.cockpit import View
-from drone_client.fly.run import FlyOptions, fly
 from drone_client.mission import Phase
 from drone_client.odometry import OdometrySample, RangeSample
 from drone_client.odometry.jump import JumpSettings
@@ -24,7 +23,6 @@ from rgbd_wire.geometry import Pose
 from rgbd_wire.messages import FrameHeader, pose_of
 from tests.unit.drone_client.builders import pose, target_of
 from tests.unit.drone_client.test_fly import (
-    AIRFRAME,
     CLOCK,
     WORLD_FROM_TARGET,
     AtTheWall,
@@ -119,18 +117,7 @@ def flown_beside_a_robot(scene: Scene, *, to_the_end: bool) -> dict[str, Any]:
     thread = threading.Thread(target=run_robot, daemon=True)
     thread.start()
     try:
-        return fly(
-            scene.camera,
-            scene.vehicle,
-            AIRFRAME,
-            scene.settings,
-            scene.parts,
-            FlyOptions(scene.folder, plot=False),
-            scene.link,
-            CLOCK,
-            scene.person,
-            odometry=robot,
-        )
+        return scene.fly(robot)
     finally:
         stop.set()
         thread.join()
